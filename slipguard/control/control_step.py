@@ -10,7 +10,7 @@
                 -> request          granted or refused (requests.py)
                 -> output
 
-Whatever fails, the grip is kept, the arm stops, and it is reported. Only a release request opens the jaws.
+At any failure the grip is kept, the arm stops, and it is reported. Only a release request opens the jaws.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Two fingers, one turn: what both fingers' estimates say together.
+"""Fuse the estimates of both fingers into one rotation of the object.
 
-The fingers face each other, so one turn of the object has opposite signs in their pictures. Turns are positive
-counter-clockwise in the LEFT finger's picture; the right one's sign is flipped here and nowhere else.
-Shifts are the downward part of the patch's motion since the reference, positive when the object slides down.
+The fingers face each other, so a rotation of the object has opposite signs in their images. Rotations are positive
+counter-clockwise in the LEFT finger's image; the sign of the right one is flipped here and nowhere else.
+Shifts are the downward part of the contact's motion since the reference, positive when the object moves down.
 """
 
 from __future__ import annotations
@@ -13,34 +13,38 @@ from dataclasses import dataclass, replace
 from slipguard.perception.estimate import Estimate
 
 SIGMA_FLOOR_DEG = 0.1
-"""No estimate counts as surer than this."""
+"""No estimate counts as more certain than this."""
 AGREE_SIGMAS = 3.0
-"""Turns further apart than this many combined standard deviations disagree."""
+"""Rotations further apart than this many combined standard deviations disagree."""
 DIFFER_SIGMAS = 5.0
-"""Two fingers contradict each other where they are further apart than so many combined standard deviations,"""
+"""Two fingers contradict each other if they are further apart than this many combined standard deviations,"""
 DIFFER_DEG = 3.0
-"""and than this: twice what two fingers differ by in lifts, soft pads that wind up included (1.6 degrees at most),"""
+"""and than this: twice the difference of two fingers in lifts, elastic torsion of soft pads included (1.6 degrees),"""
 DIFFER_SHARE = 0.1
-"""and this share of the larger turn: a finger's error grows with the turn, by up to 4.5 % (one standard deviation)."""
+"""and this share of the larger rotation: a finger's error grows with it, by up to 4.5 % (one standard deviation)."""
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
 SIGMA_MAX_DEG = 180.0
 LARGEST = 1e6
-"""No turn in degrees, rate in degrees/s or shift in mm is larger than this."""
+"""No rotation in degrees, rate in degrees/s or shift in mm is larger than this."""
 
 
 @dataclass(frozen=True, slots=True)
 class FusedEstimate:
-    """What both fingers say together.
+    """The estimate of both fingers together.
 
-    left_contact, right_contact: None where the finger says nothing at all.
-    rotation_deg: of the object since the reference, positive counter-clockwise in the left picture; None: see `declined`.
-    sigma_deg: one standard deviation, widened when the fingers disagree; None exactly where rotation_deg is None.
-    shift_mm: downwards since the reference, mean of the fingers that know it.
-    captured_at_s: the moment `rotation_deg` speaks of. measured_at_s, newest_at_s: the oldest and the newest measurement
-    used.
-    fingers: who tells a turn. conflict: the two contradict each other, and only the larger turn and its rate and
-    measurement are used. note: what is worth telling.
+    Args:
+        left_contact, right_contact: None if the finger gives no estimate at all.
+        captured_at_s: the moment of `rotation_deg`.
+        measured_at_s, newest_at_s: the oldest and the newest measurement used.
+        fingers: which fingers estimate the rotation.
+        rotation_deg: of the object since the reference, positive counter-clockwise in the left image; None: `declined`.
+        sigma_deg: one standard deviation, wider if the fingers disagree; None exactly if rotation_deg is None.
+        rate_deg_s: of the rotation.
+        shift_mm: downwards since the reference, mean of the fingers that know it.
+        conflict: the fingers contradict each other, so only the one with the larger rotation is used.
+        note: what is worth reporting although there is an estimate.
+        declined: why there is none.
     """
 
     left_contact: bool | None
@@ -64,14 +68,14 @@ class FusedEstimate:
 
     @property
     def none_touches(self) -> bool:
-        """At least one finger says that there is no contact, and none says that there is."""
+        """At least one finger reports no contact, and none reports contact."""
         contacts = (self.left_contact, self.right_contact)
         return True not in contacts and False in contacts
 
 
 @dataclass(frozen=True, slots=True)
 class _Rotation:
-    """One finger's turn in the left picture's sign."""
+    """One finger's rotation with the left image's sign."""
 
     finger: str
     rotation_deg: float
@@ -82,36 +86,36 @@ class _Rotation:
 
 
 def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
-    """What both fingers say together; None if neither has said anything.
+    """Return the estimate of both fingers together; None if neither gives one.
 
-    A finger whose frames are stale is given as None. One whose numbers are none (NaN, infinite, beyond all measure)
-    tells no turn; without a time it says nothing at all.
+    Args:
+        left, right: the newest estimates; None for a finger whose frames are stale. One with an invalid number (NaN,
+            infinite, too large) gives no rotation; one with an invalid time gives nothing.
     """
-    left, right = _sound(left), _sound(right)
-    said = [estimate for estimate in (left, right) if estimate is not None]
-    if not said:
+    left, right = _checked(left), _checked(right)
+    given = [estimate for estimate in (left, right) if estimate is not None]
+    if not given:
         return None
-    shifts_mm = [-estimate.shift_mm[1] for estimate in said if estimate.shift_mm is not None]
-    rotations = [
-        rotation for rotation in (_rotation("left", left, 1.0), _rotation("right", right, -1.0)) if rotation is not None
-    ]
-    notes = [f"{name} finger: {_why(one)}" for name, one in (("left", left), ("right", right)) if _why(one)]
+    shifts_mm = [-estimate.shift_mm[1] for estimate in given if estimate.shift_mm is not None]
+    both = (_rotation("left", left, 1.0), _rotation("right", right, -1.0))
+    rotations = [rotation for rotation in both if rotation is not None]
+    notes = [f"{name} finger: {_reason(one)}" for name, one in (("left", left), ("right", right)) if _reason(one)]
     if len(rotations) == 2:
-        rotations, behind = _together(rotations[0], rotations[1])
+        rotations, behind = _aligned(rotations[0], rotations[1])
         notes += behind
     base = FusedEstimate(
         left_contact=left.contact if left is not None else None,
         right_contact=right.contact if right is not None else None,
-        captured_at_s=min(estimate.captured_at_s for estimate in said),
-        measured_at_s=min(estimate.measured_at_s for estimate in said),
-        newest_at_s=max(estimate.measured_at_s for estimate in said),
+        captured_at_s=min(estimate.captured_at_s for estimate in given),
+        measured_at_s=min(estimate.measured_at_s for estimate in given),
+        newest_at_s=max(estimate.measured_at_s for estimate in given),
         shift_mm=sum(shifts_mm) / len(shifts_mm) if shifts_mm else None,
     )
     if not rotations:
         return replace(base, declined="; ".join(notes))
     conflict = _conflict(*rotations) if len(rotations) == 2 else None
     used = rotations if conflict is None else [max(rotations, key=lambda rotation: abs(rotation.rotation_deg))]
-    rotation_deg, sigma_deg = _weigh(used)
+    rotation_deg, sigma_deg = _weighted(used)
     return replace(
         base,
         captured_at_s=rotations[0].captured_at_s,
@@ -126,8 +130,8 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
     )
 
 
-def _sound(estimate: Estimate | None) -> Estimate | None:
-    """The estimate, without its turn and shift where a number in it cannot be one."""
+def _checked(estimate: Estimate | None) -> Estimate | None:
+    """Return the estimate, without rotation and shift if one of its numbers is invalid."""
     if estimate is None or not (math.isfinite(estimate.captured_at_s) and math.isfinite(estimate.measured_at_s)):
         return None
     numbers = (estimate.angle_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
@@ -149,20 +153,20 @@ def _rotation(finger: str, estimate: Estimate | None, sign: float) -> _Rotation 
     )
 
 
-def _why(estimate: Estimate | None) -> str | None:
-    """Why a finger does not tell the turn; None if it does."""
+def _reason(estimate: Estimate | None) -> str | None:
+    """Return why a finger gives no rotation; None if it does."""
     if estimate is None:
         return "no frames"
     if estimate.angle_deg is not None and estimate.sigma_deg is not None:
         return None
-    return estimate.decline_reason or ("no reference yet" if estimate.contact else "no contact")
+    return estimate.declined or ("no reference yet" if estimate.contact else "no contact")
 
 
-def _together(one: _Rotation, other: _Rotation) -> tuple[list[_Rotation], list[str]]:
-    """Both turns at the older one's moment; only the newer one where the other is too far behind.
+def _aligned(one: _Rotation, other: _Rotation) -> tuple[list[_Rotation], list[str]]:
+    """Return both rotations at the older one's moment; only the newer one if the other is too far behind.
 
-    A finger that knows no rate turns at the other's, for it is one object; where neither knows one, nothing can be
-    moved and only the newer one counts.
+    A finger without a rate gets the other's, for it is one object. If neither has one, no rotation can be moved in
+    time, and only the newer one counts.
     """
     older, newer = sorted((one, other), key=lambda rotation: rotation.captured_at_s)
     gap_s = newer.captured_at_s - older.captured_at_s
@@ -175,29 +179,29 @@ def _together(one: _Rotation, other: _Rotation) -> tuple[list[_Rotation], list[s
 
 
 def _conflict(left: _Rotation, right: _Rotation) -> str | None:
-    """How the fingers contradict each other, if they do: one object cannot turn both like that.
+    """Return how the fingers contradict each other: no object can rotate both like that.
 
-    The larger turn is believed then: tightening for nothing costs less than a drop. So a finger that sees an imprint of
-    its own, or whose pad turns with the object, hides nothing by being sure that nothing turns.
+    The larger rotation is used then, because tightening for nothing costs less than a drop. So a finger that sees an
+    imprint of its own, or whose pad rotates with the object, hides no slip however certain it is.
     """
     apart_deg = abs(left.rotation_deg - right.rotation_deg)
     apart = apart_deg / math.hypot(left.sigma_deg, right.sigma_deg)
     if apart > AGREE_SIGMAS and _opposed(left, right):
         return (
-            f"both pictures turn the same way (left {left.rotation_deg:+.1f}°, right {-right.rotation_deg:+.1f}°): "
+            f"both images rotate the same way (left {left.rotation_deg:+.1f}°, right {-right.rotation_deg:+.1f}°): "
             "a fault of one finger, or the object rolls"
         )
     larger_deg = max(abs(left.rotation_deg), abs(right.rotation_deg))
     if apart > DIFFER_SIGMAS and apart_deg > DIFFER_DEG + DIFFER_SHARE * larger_deg:
         return (
-            f"the fingers contradict each other (the left one says {left.rotation_deg:+.1f}°, the right one "
-            f"{right.rotation_deg:+.1f}°): one is stuck or wrong, the larger turn is believed"
+            f"the fingers contradict each other (left {left.rotation_deg:+.1f}°, right {right.rotation_deg:+.1f}°): "
+            "one is stuck or wrong, the larger rotation is used"
         )
     return None
 
 
-def _weigh(rotations: list[_Rotation]) -> tuple[float, float]:
-    """Weighted turn and its sigma; disagreement widens sigma (Birge ratio)."""
+def _weighted(rotations: list[_Rotation]) -> tuple[float, float]:
+    """Return the weighted rotation and its sigma; disagreement widens sigma (Birge ratio)."""
     if len(rotations) == 1:
         return rotations[0].rotation_deg, rotations[0].sigma_deg
     left, right = rotations
@@ -209,7 +213,7 @@ def _weigh(rotations: list[_Rotation]) -> tuple[float, float]:
 
 
 def _opposed(left: _Rotation, right: _Rotation) -> bool:
-    """Both turned for certain, and not the way one object can turn both."""
+    """Return whether both have certainly rotated, and not the way one object can rotate both."""
     certain = all(abs(rotation.rotation_deg) > AGREE_SIGMAS * rotation.sigma_deg for rotation in (left, right))
     return certain and left.rotation_deg * right.rotation_deg < 0.0
 

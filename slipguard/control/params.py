@@ -140,7 +140,7 @@ class GuardParams(_Table):
     lift_speed_mm_s: Annotated[float, Field(ge=1.0, le=250.0)] = 50.0
     """Lower it for heavy objects: a slow lift gives the gripper time to tighten."""
     release_width_mm: Annotated[float, Field(ge=1.0, le=200.0)] = 85.0
-    """How far a release opens the jaws; lower it if wide open jaws hit something. The gripper clips it to its stroke."""
+    """How far a release opens the jaws, within the gripper's stroke; lower it if wide open jaws hit something."""
 
     stop_on_slip: bool = True
     """Stop the arm while the object slips; set it to false if a stop of the arm is worse than slip."""

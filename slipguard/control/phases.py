@@ -200,7 +200,7 @@ def _adopt_in_fault(
 ) -> tuple[GraspState, Message | None]:
     """Do the same under a latched fault, as soon as the gripper reports: the arm stands, so no finger is waited for.
 
-    A later rotation estimate counts from a reference, by which the object may turn out to be lost.
+    A later rotation estimate counts from a reference, which may show that the object is lost.
     """
     gripper, fused, held = observation.gripper, observation.fused, state.held
     if state.grip.closed and not held.referenced and held.no_estimate is None:

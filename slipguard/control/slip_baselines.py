@@ -26,7 +26,7 @@ class Baselines:
            |   - - - - - - - - - - -*- - - resting_deg   frame - resting_deg    slip if above a fraction of a degree
            |  ______settled_deg______                    frame - settled_deg    not settled if above settle_deg
            | _____episode_deg____________                frame - episode_deg    slip if above 2 degrees and fast
-           |___before_motion_deg_____________> time      frame - before_motion_deg   stays after a motion of the arm: slip
+           |___before_motion_deg_____________> time      frame - before_motion_deg   still there at rest: slip
 
     Args:
         episode_deg, episode_mm: where the object was when the last slip episode ended, or at the start.

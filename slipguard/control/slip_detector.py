@@ -1,9 +1,9 @@
 """Distinguish slip from noise and from elastic torsion, estimate by estimate.
 
-A gel under load twists and shifts elastically, too, but it comes to rest: rate and persistence tell slip from it. How
+A gel under load twists and shifts elastically, too, but it comes to rest: rate and persistence distinguish slip from it. How
 little counts as slip depends on the arm. An object at rest in the air rotates for one reason only, so a fraction of a
 degree is enough. While the arm moves, the gel twists with the load: by as much as it is twisted already, times the
-change of the load. While an object leaves the table, the gel is loaded for the first time, and no image tells that from
+change of the load. While an object leaves the table, the gel is loaded for the first time, and no image distinguishes that from
 slip, for the far end still rests on the table. Raising the grip costs little then, so it is raised once; after that it
 is trusted for some degrees more.
 """
@@ -126,7 +126,7 @@ def uncertainty_deg(sigma_deg: float, params: GuardParams) -> float:
 
 
 def threshold_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float:
-    """Return the rotation below which nothing is slip after this many episodes of it, whatever the arm does."""
+    """Return the rotation below which nothing is slip after this many episodes of it, however the arm moves."""
     return max(params.tuning.tighten_in_motion_deg, uncertainty_deg(sigma_deg, params)) * growth(episodes, params)
 
 
@@ -183,7 +183,7 @@ def _count_from(
 def _count(memory: SlipMemory, fused: FusedEstimate, plain: bool, sudden: int, params: GuardParams) -> SlipMemory:
     """Return the memory with a new estimate counted: more frames in a row that show slip, or none.
 
-    plain: it shows slip whatever the arm does. sudden: how many frames it counts for where nothing should move.
+    plain: it shows slip for any motion of the arm. sudden: how many frames it counts for where nothing should move.
     """
     counts = max(int(plain), sudden)
     again_at_rest = memory.arm.case is ArmCase.REST and memory.frames > 0 and not plain
@@ -222,7 +222,7 @@ def _further_out_from(memory: SlipMemory, fused: FusedEstimate, params: GuardPar
 def _rotation(
     memory: SlipMemory, fused: FusedEstimate, params: GuardParams, only_outward: bool
 ) -> tuple[float, float, bool]:
-    """Return rotation from the episode's baseline, rate away from it, and whether that is slip whatever the arm does."""
+    """Return rotation from the episode baseline, rate away from it, and whether that is slip however the arm moves."""
     episode_deg, tuning = memory.baselines.episode_deg, params.tuning
     if fused.rotation_deg is None or fused.sigma_deg is None or episode_deg is None:
         return 0.0, 0.0, False

@@ -1,4 +1,4 @@
-"""Builds what the law sees, from a few words."""
+"""Build observations and estimates from a few values."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def fused(
     contact: bool = True, sigma_deg: float = 0.5, fingers: tuple[str, ...] = ("left", "right"),
     conflict: str | None = None, note: str | None = None, declined: str | None = None,
 ) -> FusedEstimate:  # fmt: skip
-    blind = rotation_deg is None
+    declines = rotation_deg is None
     return FusedEstimate(
-        contact, contact, at_s, at_s, () if blind else fingers, rotation_deg, None if blind else sigma_deg,
-        None if blind else rate_deg_s, shift_mm, conflict, note, declined,
+        contact, contact, at_s, at_s, () if declines else fingers, rotation_deg, None if declines else sigma_deg,
+        None if declines else rate_deg_s, shift_mm, conflict, note, declined,
     )  # fmt: skip
 
 
 def observation(now_s: float, **changes: object) -> Observation:
-    """All well at `now_s`: an object held and seen, the arm at rest, everything just measured."""
+    """All well at `now_s`: an object held, rotation estimated, the arm at rest, everything just measured."""
     base = Observation(
         now_s=now_s, fused=fused(at_s=now_s), left=FingerHealth(), right=FingerHealth(),
         gripper=gripper(at_s=now_s), arm=arm(at_s=now_s), request=NO_REQUEST,

@@ -1,4 +1,4 @@
-"""Memories and views in every phase, and the law played against devices that do at once what they are told."""
+"""States and observations in every phase, and the controller on devices that carry out each command at once."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def seen_in(phase: Phase, **changes: object) -> Observation:
 
 
 class Play:
-    """The law on a simple gripper and arm that do at once what they are told."""
+    """The law on a simple gripper and arm that do at once what they are given."""
 
     def __init__(self, params: GuardParams = PARAMS, guard: ControlState | None = None) -> None:
         self.params, self.guard, self.now_s = params, guard or ControlState(), 100.0

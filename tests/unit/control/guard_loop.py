@@ -36,10 +36,12 @@ def bar(needed_n: float, gel: SoftPad, offset_mm: float = 100.0, friction: float
 class Run:
     """One simulated run, step by step."""
 
-    def __init__(self, world: World, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, world: World, params: GuardParams, seed: int = 0, without_estimate: tuple[str, ...] = ()
+    ) -> None:
         self.world, self.controller = world, SlipguardController(params)
         sights = {
-            name: ModeledFinger(UNSEEN if name in blind else SEEN, np.random.default_rng([seed, k]))
+            name: ModeledFinger(UNSEEN if name in without_estimate else SEEN, np.random.default_rng([seed, k]))
             for k, name in enumerate(FINGERS)
         }
         self.loop = ClosedLoop(world, self.controller, sights, np.random.default_rng(seed), trip_s=GRIPPER_TRIP_S)
@@ -62,7 +64,7 @@ class Run:
 
     @property
     def says(self) -> list[str]:
-        return self.loop.says
+        return self.loop.messages
 
     @property
     def peak_deg(self) -> float:
@@ -81,10 +83,12 @@ class Run:
         self.controller.state = guard
 
 
-def placed(item: SimObject, scenario: Scenario, params: GuardParams, seed: int = 0, blind: tuple[str, ...] = ()) -> Run:
+def placed(
+    item: SimObject, scenario: Scenario, params: GuardParams, seed: int = 0, without_estimate: tuple[str, ...] = ()
+) -> Run:
     """A run with the object between the open jaws."""
     world = World(seed=seed, lookup=lambda name: item)
-    run = Run(world, params, seed, blind)
+    run = Run(world, params, seed, without_estimate)
     world.place(changed(scenario, object_name=item.name), run.now_s)
     return run
 

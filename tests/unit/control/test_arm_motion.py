@@ -1,4 +1,4 @@
-"""Each answer of the arm's part of the grasp, whole: state and command, at and beside every limit."""
+"""Commands to the arm, with the whole state, at and next to every limit."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def test_on_the_way_it_waits_until_the_arm_rests() -> None:
         assert continue_down(state, view, SAID, LOWER) == (state, SAID)  # type: ignore[arg-type]
 
 
-def test_at_rest_short_of_the_table_it_is_told_the_rest() -> None:
+def test_an_arm_at_rest_above_the_table_gets_the_rest_of_the_way() -> None:
     state = changed(DOWN, arm_commanded_s=4.0)
     after, command = continue_down(state, moment(5.0, 40.0), SAID, LOWER)  # type: ignore[arg-type]
     assert after == changed(state, arm_commanded_s=5.0)

@@ -1,4 +1,4 @@
-"""What happens seldom: an object found at the start, jaws of unknown state, a gripper too strong for the budget."""
+"""Rare events: an object found at the start, jaws in an unknown state, a gripper above the force limit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_with_finger_and_arm_it_is_taken_over_at_once(fingers: FusedEstimate, he
     assert state.phase is Phase.REFERENCE
 
 
-def test_the_force_of_before_is_said_where_it_was_greater() -> None:
+def test_a_greater_force_from_before_the_restart_is_reported() -> None:
     remembered = grasp_state(remembered=RememberedGrip(91.0, 30.0))
     _, command = step(remembered, observation(100.0, gripper=gripper(20.0, at_s=100.0)), PARAMS)
     assert command.text == "an object is already held with 20 N: taken over with the 91 N from before the restart"
@@ -80,7 +80,7 @@ def test_clear_needs_to_know_what_is_held(jaws: GripperState, phase: Phase, says
     assert (command.refusal is None) is (says == "")
 
 
-def test_a_gripper_too_strong_for_the_budget_is_never_told_to_tighten() -> None:
+def test_a_gripper_above_the_force_limit_is_never_commanded_to_tighten() -> None:
     view = seen_in(Phase.HOLDING, fused=fused(20.0, 40.0, at_s=NOW_S), gripper_limits_n=(150.0, 235.0))
     state = state_in(Phase.HOLDING)
     for number in range(10):
@@ -105,7 +105,7 @@ def test_a_gripper_too_strong_for_the_budget_is_never_told_to_tighten() -> None:
         {"shift_mm": (float("-inf"), 0.0)},
     ],
 )
-def test_no_number_is_no_turn(bad: dict[str, object]) -> None:
+def test_an_invalid_number_gives_no_rotation(bad: dict[str, object]) -> None:
     one = changed(estimate(3.0, 0.5, shift_mm=(0.0, 0.0)), **bad)  # type: ignore[arg-type]
     answer = fuse(one, None)
     assert answer is not None
@@ -117,7 +117,7 @@ def test_no_number_is_no_turn(bad: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize("bad", [{"captured_at_s": float("nan")}, {"measured_at_s": float("inf")}])
-def test_without_a_time_a_finger_says_nothing(bad: dict[str, float]) -> None:
+def test_without_a_time_a_finger_gives_nothing(bad: dict[str, float]) -> None:
     one = changed(estimate(3.0, 0.5), **bad)  # type: ignore[arg-type]
     assert fuse(one, None) is None
     beside = fuse(one, estimate(-4.0, 0.5))
@@ -132,7 +132,7 @@ def test_the_ends_of_what_a_sigma_may_be(sigma_deg: float) -> None:
     assert answer.rotation_deg == 3.0
 
 
-def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_near() -> None:
+def test_no_force_is_added_to_a_found_object_while_a_person_may_be_near() -> None:
     state = grasp_state(person_near=True)
     for number in range(100):
         now_s = 100.0 + 0.02 * number
@@ -143,7 +143,7 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
         assert command.hold_force_n is None
     assert state.phase is Phase.HOLDING
     near = state
-    for here, told in ((arm(protective=True), False), (arm(), True)):
+    for here, given in ((arm(protective=True), False), (arm(), True)):
         state = near
         for number in range(100, 140):
             now_s = 100.0 + 0.02 * number
@@ -151,7 +151,7 @@ def test_no_force_is_added_to_what_is_found_until_the_arm_says_that_nobody_is_ne
             state, command = step(state, changed(view, arm=changed(here, measured_at_s=now_s)), PARAMS)
             if command.hold_force_n is not None:
                 break
-        assert (command.hold_force_n is not None) is told
+        assert (command.hold_force_n is not None) is given
 
 
 def test_guard_off_ends_an_episode_of_slip() -> None:

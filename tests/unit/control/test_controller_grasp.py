@@ -92,7 +92,7 @@ def test_grasps_that_are_refused(changes: dict[str, object], says: str) -> None:
     assert play.grasp.phase is Phase.IDLE
 
 
-def test_more_than_the_budget_cannot_be_asked_for() -> None:
+def test_a_request_above_the_force_limit_is_refused() -> None:
     assert "130 N" in str(Play().step(RequestKind.GRASP, force_n=131.0).refusal)
     assert "130 N" in str(Play().held().step(RequestKind.GRIPPER, force_n=131.0).refusal)
 
@@ -118,7 +118,7 @@ def test_an_answer_from_before_the_grip_is_no_reference() -> None:
     assert play.grasp.phase is Phase.REFERENCE
 
 
-def blind(params: GuardParams) -> Play:
+def without_estimate(params: GuardParams) -> Play:
     play = Play(params)
     play.step(RequestKind.GRASP)
     play.step()
@@ -129,23 +129,23 @@ def blind(params: GuardParams) -> Play:
 
 
 def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
-    play = blind(PARAMS)
+    play = without_estimate(PARAMS)
     assert play.grasp.grip.target_n == pytest.approx(100.0, abs=0.85)
     assert "round contact" in (play.grasp.held.no_estimate or "")
     assert isinstance(play.step(RequestKind.LIFT).arm, LiftArm)
     play.steps(3.0)
-    assert play.grasp.phase is Phase.HOLDING  # nobody asks for a turn that never could be told
+    assert play.grasp.phase is Phase.HOLDING  # nobody asks for a rotation that never could be given
 
 
 def test_without_a_reference_it_refuses_the_lift_in_words() -> None:
-    play = blind(guard_params(on_no_estimate="refuse"))
+    play = without_estimate(guard_params(on_no_estimate="refuse"))
     assert play.grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
     refused = str(play.step(RequestKind.LIFT).refusal)
     assert refused is not None
     assert "round contact" in refused
 
 
-def test_a_blind_grip_that_is_firm_already_or_near_a_person_is_left_as_it_is() -> None:
+def test_without_an_estimate_a_firm_grip_or_one_near_a_person_is_kept() -> None:
     for force_n, here in ((110.0, arm()), (40.0, arm(protective=True))):
         state = state_in(Phase.REFERENCE, since_s=NOW_S - 5.0, target_n=force_n)
         view = seen_in(Phase.REFERENCE, gripper=gripper(force_n, at_s=NOW_S), arm=here, fused=None)
@@ -155,8 +155,8 @@ def test_a_blind_grip_that_is_firm_already_or_near_a_person_is_left_as_it_is() -
         assert command.hold_force_n is None
 
 
-def test_an_object_gripped_blind_is_still_guarded_against_sliding() -> None:
-    play = blind(PARAMS)
+def test_without_an_estimate_translational_slip_is_still_met() -> None:
+    play = without_estimate(PARAMS)
     before_n = play.grasp.grip.target_n
     for number in range(6):
         play.view = changed(play.view, shift_mm=0.3 * number)
@@ -164,7 +164,7 @@ def test_an_object_gripped_blind_is_still_guarded_against_sliding() -> None:
     assert play.grasp.grip.target_n > before_n
 
 
-def test_a_release_that_did_not_reach_the_gripper_is_said_again_and_then_given_up() -> None:
+def test_a_lost_release_command_is_repeated_and_then_given_up() -> None:
     state, command = step(state_in(Phase.HOLDING), observation(NOW_S, request=ask(RequestKind.RELEASE)), PARAMS)
     opened = int(released_mm(command) is not None)
     for number in range(1, 150):

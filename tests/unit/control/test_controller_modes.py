@@ -56,7 +56,7 @@ def test_what_is_remembered_is_forgotten_with_empty_jaws() -> None:
     assert play.grasp.grip.target_n == pytest.approx(PARAMS.first_force_n, abs=0.85)
 
 
-def test_an_adopted_grip_above_the_budget_is_kept() -> None:
+def test_an_adopted_grip_above_the_force_limit_is_kept() -> None:
     play = Play()
     play.jaws, play.view = gripper(200.0), fused()
     play.steps(0.5)
@@ -130,7 +130,7 @@ def test_jaws_that_are_not_ready_are_not_moved(jaws: GripperState) -> None:
     assert command.hold_force_n is None
 
 
-def test_in_lift_mode_jaws_moved_for_another_program_are_not_guarded_and_that_is_said() -> None:
+def test_in_lift_mode_jaws_moved_by_another_program_are_not_guarded_and_this_is_reported() -> None:
     play = Play()
     assert play.jaws is not None
     play.jaws = changed(play.jaws, width_mm=60.0)
@@ -160,7 +160,7 @@ def test_a_lift_waits_until_all_is_ready() -> None:
     assert "the arm is not connected" in refusal(lambda play: setattr(play, "here", None))
 
 
-def test_notes_are_said_once() -> None:
+def test_notes_are_reported_once() -> None:
     play = Play().held()
     play.view = fused(0.0, fingers=("left",), note="right finger: 150 ms behind")
     said = [command.text for command in play.steps(0.3) if command.text]
@@ -172,11 +172,11 @@ def test_notes_are_said_once() -> None:
     play.view = fused()
     said = [command.text for command in play.steps(1.2) if command.text]
     assert said == ["no longer: right finger: 150 ms behind"]
-    play.view = fused(0.0, conflict="both pictures turn the same way (left 3, right 3): a fault")
+    play.view = fused(0.0, conflict="both images rotate the same way (left 3, right 3): a fault")
     assert "same way" in (play.step().text or "")
 
 
-def test_an_episode_of_sliding_names_the_slide() -> None:
+def test_an_episode_of_translational_slip_names_the_distance() -> None:
     play = Play().held()
     play.view = changed(play.view, shift_mm=0.6)
     play.step()
@@ -191,7 +191,7 @@ def test_no_motion_near_a_person() -> None:
 
 
 def test_a_tighter_grip_asked_for_counts_from_what_is_there() -> None:
-    """The gripper may hold more than the law has commanded."""
+    """The gripper may hold more than the controller has commanded."""
     view = seen_in(Phase.HOLDING, gripper=gripper(90.0, at_s=NOW_S), request=ask(RequestKind.GRIPPER, force_n=60.0))
     state, command = step(state_in(Phase.HOLDING), view, PARAMS)
     assert command.hold_force_n == state.grip.target_n == 90.0

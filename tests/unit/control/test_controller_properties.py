@@ -1,4 +1,4 @@
-"""What must hold for any sequence of things seen, however absurd."""
+"""Properties of every sequence of observations, however improbable."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_without_a_request_to_release_nothing_opens_and_the_force_never_falls(
 
 @settings(max_examples=150)
 @given(phases, any_stories, modes)
-def test_never_more_than_the_budget_and_nothing_near_a_person(
+def test_no_command_exceeds_the_force_limit_or_adds_force_near_a_person(
     phase: Phase, story: list[tuple[tuple[float, Observation], ControlRequest]], params: GuardParams
 ) -> None:
     for _, view, command, after in play(start(phase), story, params):
@@ -165,8 +165,8 @@ def test_a_release_is_granted_whatever_has_happened(
     then: list[tuple[float, Observation]],
     params: GuardParams,
 ) -> None:
-    told = [*story, (last, ask(RequestKind.RELEASE)), *((one, ControlRequest()) for one in then)]
-    asked, *later = play(start(phase), told, params)[len(story) :]
+    given = [*story, (last, ask(RequestKind.RELEASE)), *((one, ControlRequest()) for one in then)]
+    asked, *later = play(start(phase), given, params)[len(story) :]
     assert asked[2].refusal is None
     assert asked[3].grasp.phase is Phase.RELEASED
     opened_s = None

@@ -1,4 +1,4 @@
-"""What no force of the budget holds goes back down the path just lifted, where that is asked for."""
+"""An object that slips at the force limit goes back down the path just lifted, if configured."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ STOP = guard_params(**SMALL)
 
 
 class Lifted(Play):
-    """Lifted by 80 mm and slipping on with all of the budget; the arm moves at the speed it is told."""
+    """Lifted by 80 mm and slipping on with all of the force limit; the arm moves at the speed it is given."""
 
     def __init__(self, params: GuardParams) -> None:
         super().__init__(params)
@@ -96,7 +96,7 @@ def test_the_usual_is_to_stand() -> None:
     assert play.here.height_mm == pytest.approx(80.0, abs=0.6)
 
 
-def test_an_object_turned_too_far_is_put_down_too() -> None:
+def test_an_object_that_rotated_too_far_is_put_down_too() -> None:
     play = Lifted(LOWER)
     play.slips(4.0, 300.0)
     command = play.slips(50.0, 300.0, frames=1)
@@ -169,7 +169,7 @@ def test_slip_that_goes_on_does_not_stop_it() -> None:
     assert FaultCode.TIGHTENING_INEFFECTIVE in play.grasp.reported.faults
 
 
-def test_an_arm_that_does_not_take_it_up_is_told_again_and_then_given_up() -> None:
+def test_an_arm_that_ignores_the_command_gets_it_again_and_is_then_given_up() -> None:
     play = Lifted(LOWER)
     play.spend()
     before, there = len(lifts(play)), play.here
@@ -233,7 +233,7 @@ def test_in_guard_mode_it_is_refused_in_words() -> None:
 # --- what else goes wrong while a fault is latched ---
 
 
-def test_a_second_fault_is_said_once_and_the_first_stays() -> None:
+def test_a_second_fault_is_reported_once_and_the_first_stays() -> None:
     play = Play().held()
     play.here = arm(protective=True)
     first = play.step().fault
@@ -249,7 +249,7 @@ def test_a_second_fault_is_said_once_and_the_first_stays() -> None:
     assert len([command.text for command in play.steps(0.2) if command.text]) == 1
 
 
-def test_an_object_lost_in_a_fault_is_said_and_can_be_cleared() -> None:
+def test_an_object_lost_in_a_fault_is_reported_and_can_be_cleared() -> None:
     play = Play().held()
     play.here = arm(protective=True)
     play.step()
@@ -278,7 +278,7 @@ def test_asked_to_clear_while_nothing_is_latched() -> None:
     assert str(command.refusal) == "no fault is latched"
 
 
-def test_an_arm_that_has_fallen_silent_is_not_told_to_move() -> None:
+def test_a_silent_arm_is_not_commanded_to_move() -> None:
     for age_s, moves in ((0.09, True), (0.11, False)):
         view = seen_in(Phase.LIFTING, arm=arm(15.0, at_s=NOW_S - age_s))
         _, command = step(state_in(Phase.LIFTING), view, STOP)

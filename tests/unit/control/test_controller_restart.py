@@ -1,4 +1,4 @@
-"""After a restart: a force that was only commanded, a fault that was latched, and what does not come back."""
+"""After a restart: a force that was only commanded, a latched fault, and devices that do not come back."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def forces(commands: list[StepOutput]) -> list[float]:
 # --- a force that was only commanded ---
 
 
-def test_a_force_that_never_arrived_is_said_again_and_once() -> None:
+def test_a_force_that_never_arrived_is_commanded_once_more() -> None:
     play = restarted(ASKED)
     first = play.step()
     assert "the 110 N requested before the restart are commanded again" in (first.text or "")
@@ -59,28 +59,28 @@ def test_one_that_arrived_after_all_is_not() -> None:
     [
         (RememberedGrip(110.0, WIDTH_MM + 1.5, applied=False), (20.0, 235.0)),  # something else
         (RememberedGrip(30.0, WIDTH_MM, applied=False), (20.0, 235.0)),  # no more than there is
-        (ASKED, (150.0, 235.0)),  # a gripper too strong for the budget
+        (ASKED, (150.0, 235.0)),  # a gripper too strong for the force limit
     ],
 )
-def test_it_is_said_only_of_the_same_object_and_only_upwards(
+def test_it_is_repeated_only_for_the_same_object_and_only_upwards(
     before: RememberedGrip, limits_n: tuple[float, float]
 ) -> None:
-    state, told = grasp_state(remembered=before), []
+    state, given = grasp_state(remembered=before), []
     for number in range(50):
         now_s = 100.0 + 0.02 * number
         view = observation(now_s, gripper_limits_n=limits_n)
         state, command = step(state, view, PARAMS)
-        told.append(command)
-    assert forces(told) == []
+        given.append(command)
+    assert forces(given) == []
     assert state.grip.target_n == 40.0
 
 
-def test_it_is_said_within_the_budget_of_now() -> None:
+def test_it_is_repeated_within_the_present_force_limit() -> None:
     play = restarted(RememberedGrip(800.0, WIDTH_MM, applied=False))
     assert forces(play.steps(1.0)) == [pytest.approx(PARAMS.force_max_n, abs=0.85)]
 
 
-def test_never_while_somebody_is_near_but_when_they_have_gone() -> None:
+def test_it_is_not_repeated_while_a_person_may_be_near() -> None:
     play = restarted(ASKED, person_near=True)
     play.here = None
     assert forces(play.steps(0.4)) == []
@@ -95,11 +95,11 @@ def test_never_while_somebody_is_near_but_when_they_have_gone() -> None:
     [
         (gripper(109.6, at_s=10.1), True),
         (gripper(109.4, at_s=10.1), False),
-        (gripper(110.0, at_s=10.0), False),  # said before it was told
+        (gripper(110.0, at_s=10.0), False),  # said before it was given
         (gripper(110.0, at_s=10.1, moving=True), False),
     ],
 )
-def test_a_force_is_taken_when_the_gripper_says_so_at_rest(jaws: GripperState, is_taken: bool) -> None:
+def test_a_force_is_applied_once_the_gripper_confirms_it_at_rest(jaws: GripperState, is_taken: bool) -> None:
     held = grasp_state(Phase.HOLDING, target_n=110.0, commanded_s=10.0)
     assert force_applied(held, jaws) is is_taken
     assert force_applied(changed(held, commanded_s=float("-inf")), jaws), "it was told nothing since the restart"
@@ -156,13 +156,13 @@ def test_the_arm_stands_and_a_slip_is_answered_as_before_the_restart() -> None:
     assert any("rotated too far" in (command.text or "") for command in play.commands)
 
 
-def test_a_force_that_never_arrived_is_said_again_in_a_fault_too() -> None:
+def test_a_force_that_never_arrived_is_repeated_in_a_fault_too() -> None:
     play = latched()
     assert forces(play.steps(0.5)) == [ASKED_N]
     assert play.grasp.phase is Phase.FAULT
 
 
-def test_no_finger_is_waited_for_nor_is_it_known_what_was_referenced() -> None:
+def test_in_a_fault_adoption_waits_for_no_finger_and_has_no_reference_yet() -> None:
     play = latched(RememberedGrip(93.0, WIDTH_MM))
     play.view = None  # type: ignore[assignment]
     play.lazy = True
@@ -189,7 +189,7 @@ def test_with_empty_jaws_it_is_still_a_fault(before: RememberedGrip | None) -> N
     assert play.step(RequestKind.CLEAR).text == "cleared; nothing is held"
 
 
-def test_what_was_to_be_let_go_is_left_alone() -> None:
+def test_after_a_release_request_nothing_is_adopted() -> None:
     play = latched(release_requested=True)
     play.steps(0.5)
     play.slips(20.0, 50.0)
@@ -203,14 +203,14 @@ def test_what_was_to_be_let_go_is_left_alone() -> None:
 def waits(
     view: Observation, seconds: float, before: RememberedGrip | None = ASKED
 ) -> tuple[ControlState, list[tuple[float, StepOutput]]]:
-    guard, told = ControlState(grasp_state(remembered=before)), []
+    guard, given = ControlState(grasp_state(remembered=before)), []
     for number in range(round(seconds / 0.05)):
         now_s = 100.0 + 0.05 * number
         jaws = view.gripper and changed(view.gripper, measured_at_s=now_s)
         here = view.arm and changed(view.arm, measured_at_s=now_s)
         guard, command = control_step(guard, changed(view, now_s=now_s, gripper=jaws, arm=here), PARAMS)
-        told.append((now_s - 100.0, command))
-    return guard, told
+        given.append((now_s - 100.0, command))
+    return guard, given
 
 
 @pytest.mark.parametrize(
@@ -222,15 +222,15 @@ def waits(
 )
 def test_what_never_comes_back_is_a_fault_as_while_holding(view: Observation, code: FaultCode) -> None:
     moving = changed(view, arm=arm(60.0, moving=True))
-    guard, told = waits(moving, DEVICE_START_S - 0.05)
+    guard, given = waits(moving, DEVICE_START_S - 0.05)
     assert guard.grasp.phase is Phase.IDLE
-    guard, told = waits(moving, 4.0)
-    latched_s, latching = next((at_s, command) for at_s, command in told if command.fault is not None)
+    guard, given = waits(moving, 4.0)
+    latched_s, latching = next((at_s, command) for at_s, command in given if command.fault is not None)
     assert latched_s == pytest.approx(DEVICE_START_S, abs=0.06)
     assert latching.fault is not None
     assert latching.fault.code is code
     assert latching.arm == StopArm()
-    assert [command.arm for _, command in told[-4:]].count(StopArm()) >= 1, "until it stands"
+    assert [command.arm for _, command in given[-4:]].count(StopArm()) >= 1, "until it stands"
     # It comes back: the object is taken over with the force of before, and the fault stays until it is cleared.
     play = Play(guard=guard)
     play.now_s = 110.0
@@ -243,7 +243,7 @@ def test_what_never_comes_back_is_a_fault_as_while_holding(view: Observation, co
 
 
 @pytest.mark.parametrize("heard", [True, False])
-def test_what_was_heard_since_the_start_has_the_usual_time(heard: bool) -> None:
+def test_a_finger_received_since_the_start_has_the_usual_timeout(heard: bool) -> None:
     guard, silent_s = ControlState(grasp_state(remembered=ASKED)), 0.0
     while guard.grasp.phase is Phase.IDLE:
         gone = changed(NEVER, age_s=silent_s) if heard else NEVER
@@ -254,7 +254,7 @@ def test_what_was_heard_since_the_start_has_the_usual_time(heard: bool) -> None:
     assert silent_s == pytest.approx(PARAMS.tuning.frames_timeout_s if heard else DEVICE_START_S, abs=0.06)
 
 
-def test_a_gripper_that_was_heard_has_the_usual_time_too() -> None:
+def test_a_gripper_received_since_the_start_has_the_usual_timeout() -> None:
     grasp = grasp_state(remembered=ASKED)
     guard, _ = control_step(
         ControlState(grasp), observation(99.9, gripper=gripper(0.0, holding=False, moving=True, at_s=99.9)), PARAMS

@@ -1,4 +1,4 @@
-"""What is slip, what is done about it, and what happens when that does not help."""
+"""What is slip, how it is met, and what follows if that has no effect."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ def test_the_first_step_is_large_and_stops_the_arm() -> None:
     assert "tightening" in (command.text or "")
     assert command.is_warning
     play.view = changed(play.view, rate_deg_s=0.0)
-    (calm,) = [later for later in play.steps(2.0) if "settled" in (later.text or "")]
-    assert not calm.is_warning
+    (settled,) = [later for later in play.steps(2.0) if "settled" in (later.text or "")]
+    assert not settled.is_warning
 
 
-def test_a_turn_either_way_is_slip() -> None:
+def test_rotation_in_either_direction_is_slip() -> None:
     assert Play().held().slips(-4.0, -30.0).hold_force_n is not None
 
 
@@ -51,14 +51,14 @@ def test_what_is_not_slip(rotation_deg: float, rate_deg_s: float | None, sigma_d
     assert all(command.hold_force_n is None for command in commands)
 
 
-def test_a_frame_counts_once_however_often_it_is_looked_at() -> None:
+def test_a_frame_counts_once_however_often_it_is_assessed() -> None:
     play = Play().held()
     play.slips(frames=1)
     play.lazy = True
     assert all(command.hold_force_n is None for command in play.steps(0.2))
 
 
-def test_a_creeping_turn_is_slip_at_any_rate() -> None:
+def test_creeping_rotation_is_slip_at_any_rate() -> None:
     assert Play().held().slips(6.5, 0.5).hold_force_n is not None
 
 
@@ -91,7 +91,7 @@ def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> N
         (True, 24.0, 30.0, True),  # too far to wait
     ],
 )
-def test_while_the_force_rises_or_the_turn_slows_down_it_waits(
+def test_while_the_force_rises_or_the_rotation_slows_down_it_waits(
     moving: bool, rotation_deg: float, rate_deg_s: float, steps: bool
 ) -> None:
     play = Play().held()
@@ -101,7 +101,7 @@ def test_while_the_force_rises_or_the_turn_slows_down_it_waits(
     assert (play.slips(rotation_deg, rate_deg_s, frames=1).hold_force_n is not None) is steps
 
 
-def test_a_turn_that_does_not_go_on_slowing_down_is_answered_again() -> None:
+def test_a_rotation_that_stops_slowing_down_is_tightened_again() -> None:
     play = Play().held()
     play.slips(4.0, 60.0)
     play.steps(0.24)
@@ -138,7 +138,7 @@ def test_what_the_jaws_took_to_close_is_what_a_step_takes() -> None:
         (1, 4.1, False, True),
     ],
 )
-def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, slips: bool) -> None:
+def test_translational_slip_has_thresholds_too(episodes: int, slid_mm: float, at_once: bool, slips: bool) -> None:
     """Fast beyond 0.5 mm or at any rate beyond 2 mm; twice that after each episode."""
     start_mm = 5.0
     memory = changed(PRIMED, translations=episodes, episode_mm=start_mm, smooth_mm=start_mm)
@@ -149,7 +149,7 @@ def test_slides_have_levels_too(episodes: int, slid_mm: float, at_once: bool, sl
     assert (command.hold_force_n is not None) is slips
 
 
-def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
+def test_settling_ends_an_episode_and_the_next_needs_twice_the_rotation() -> None:
     play = Play().held()
     play.slips(4.0)
     play.view = changed(play.view, rotation_deg=4.5, rate_deg_s=0.0)
@@ -160,14 +160,14 @@ def test_calm_ends_an_episode_and_the_next_needs_twice_the_turn() -> None:
     assert play.slips(9.0).hold_force_n is not None
 
 
-def test_a_lift_stops_for_slip_and_goes_on_when_calm() -> None:
+def test_a_lift_stops_for_slip_and_continues_after_settling() -> None:
     play = Play().held()
     play.step(RequestKind.LIFT)
     play.here = arm(7.0, moving=True)
     play.step()
     assert play.slips().arm == StopArm()
     stops = [command for command in play.steps(0.5) if command.arm == StopArm()]
-    assert 2 <= len(stops) <= 4  # said again, but not at every tick
+    assert 2 <= len(stops) <= 4  # repeated, but not at every tick
     play.here = arm(8.0)
     play.view = changed(play.view, rate_deg_s=0.0)
     commands = play.steps(1.0)
@@ -183,9 +183,7 @@ def test_without_stop_on_slip_the_arm_goes_on() -> None:
 
 
 @pytest.mark.parametrize(("deg_s", "mm_s"), [(4.0, 0.0), (7.9, 0.0), (0.0, 1.2), (0.0, 2.9)])
-def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_fault(
-    deg_s: float, mm_s: float
-) -> None:
+def test_slip_below_the_slip_rate_takes_all_the_force_and_then_is_a_fault(deg_s: float, mm_s: float) -> None:
     play = Play(GuardParams()).held()
     forces = [play.grasp.grip.target_n]
     for tick in range(round(5.0 / 0.02)):
@@ -201,7 +199,7 @@ def test_slip_too_slow_to_be_told_by_its_rate_takes_all_the_force_and_then_is_a_
     assert play.grasp.held.slip is not None
 
 
-def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
+def test_the_force_limit_reached_is_a_fault_that_keeps_the_grip() -> None:
     play = Play(guard_params(force_max_n=60.0, no_estimate_force_n=60.0)).held()
     for rotation_deg in range(4, 40, 2):
         play.slips(float(rotation_deg), 40.0, frames=5)
@@ -211,7 +209,7 @@ def test_the_budget_spent_is_a_fault_that_keeps_the_grip() -> None:
     assert any(command.arm == StopArm() for command in play.commands)
 
 
-def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
+def test_at_the_force_limit_the_arm_waits_and_this_is_reported() -> None:
     play = Play(
         PARAMS.model_copy(update={"force_max_n": 40.0, "no_estimate_force_n": 40.0, "first_force_n": 40.0})
     ).held()
@@ -226,7 +224,7 @@ def test_with_the_whole_budget_applied_the_arm_waits_and_it_is_said() -> None:
     assert play.grasp.grip.target_n == strongest_n
 
 
-def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
+def test_a_firm_grip_that_rotates_in_the_lift_off_is_tightened_too() -> None:
     play = Play(guard_params(force_max_n=57.0, no_estimate_force_n=57.0)).held()
     play.step(RequestKind.LIFT)
     play.here = arm(5.0, moving=True)
@@ -237,7 +235,7 @@ def test_a_firm_grip_that_turns_while_it_lifts_off_is_tightened_too() -> None:
     assert command.arm == StopArm()
 
 
-def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
+def test_both_kinds_of_slip_are_remembered_until_all_has_settled() -> None:
     play = Play().held()
     play.view = changed(play.view, shift_mm=2.5)
     assert play.slips(0.0, 0.0).hold_force_n is not None
@@ -257,7 +255,7 @@ def test_what_slid_and_what_turned_is_remembered_until_all_is_calm() -> None:
 
 
 @pytest.mark.parametrize(("rotation_deg", "gives_up"), [(44.5, False), (45.5, True), (-45.5, True)])
-def test_an_object_turned_too_far_is_given_up_though_it_rests(rotation_deg: float, gives_up: bool) -> None:
+def test_an_object_rotated_too_far_is_given_up_even_at_rest(rotation_deg: float, gives_up: bool) -> None:
     play = Play().held()
     memory = changed(play.grasp.held.memory, episode_deg=rotation_deg, settled_deg=rotation_deg)
     memory = changed(memory, resting_deg=rotation_deg, before_motion_deg=rotation_deg)
@@ -273,21 +271,21 @@ def test_an_object_turned_too_far_is_given_up_though_it_rests(rotation_deg: floa
         assert command.arm == StopArm()
 
 
-def test_fingers_that_contradict_each_other_give_nothing_up_nor_does_a_single_frame() -> None:
+def test_neither_a_contradiction_nor_a_single_frame_gives_the_object_up() -> None:
     play = Play().held()
     for rotation_deg in (50.0, 0.0, 50.0, 0.0):
         assert play.slips(rotation_deg, 0.0, frames=1).fault is None
-    play.view = changed(play.view, conflict="both pictures turn the same way")
+    play.view = changed(play.view, conflict="both images rotate the same way")
     assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
 
 
-def test_without_a_reference_no_turn_is_too_far() -> None:
+def test_without_a_reference_no_rotation_is_too_far() -> None:
     play = Play().held()
     play.guard = changed(play.guard, grasp=changed(play.grasp, referenced=False))
     assert all(play.slips(50.0, 0.0, frames=1).fault is None for _ in range(5))
 
 
-def test_turned_too_far_takes_all_the_force_there_is() -> None:
+def test_rotated_too_far_applies_the_force_limit() -> None:
     play = Play().held()
     play.slips(30.0, 300.0)
     command = play.slips(50.0, 300.0, frames=1)
@@ -311,7 +309,7 @@ def test_no_force_is_added_near_a_person() -> None:
     assert play.grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
 
 
-def test_a_turn_back_while_putting_down_is_no_slip() -> None:
+def test_rotation_back_while_lowering_is_no_slip() -> None:
     slipped = changed(PRIMED, episode_deg=20.0)
     back = seen_in(Phase.LOWERING, fused=fused(15.0, -30.0, at_s=NOW_S))
     for phase, tightens in ((Phase.LOWERING, False), (Phase.HOLDING, True)):
@@ -449,7 +447,7 @@ def test_clear_takes_a_new_reference_where_the_fingers_contradict_each_other() -
     assert command.refusal is None
 
 
-def test_clear_is_refused_where_something_else_is_wrong_besides() -> None:
+def test_clear_is_refused_while_another_fault_persists() -> None:
     view = seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR), fault=UNTRUSTED, other_faults=(FAULT,))
     state, command = step(state_in(Phase.FAULT), view, PARAMS)
     assert state.phase is Phase.FAULT
@@ -476,7 +474,7 @@ def test_clear_with_nothing_held_is_idle() -> None:
     assert step(state_in(Phase.FAULT), view, PARAMS)[0].phase is Phase.IDLE
 
 
-def test_a_stop_is_said_again_until_the_arm_stands() -> None:
+def test_a_stop_is_repeated_until_the_arm_stands() -> None:
     state, stops = state_in(Phase.FAULT, arm_commanded_s=NOW_S), 0
     for number in range(1, 31):
         now_s = NOW_S + 0.02 * number
@@ -494,7 +492,7 @@ def test_a_force_that_was_not_taken_is_commanded_again() -> None:
     assert again[0] == wanted_n
 
 
-def test_a_gripper_somebody_opened_is_not_closed_again() -> None:
+def test_a_gripper_opened_by_hand_is_not_closed_again() -> None:
     play = Play().held()
     play.jaws = changed(play.jaws, force_n=0.0, holding=False, width_mm=85.0)
     assert all(command.hold_force_n is None for command in play.steps(1.0))

@@ -1,4 +1,4 @@
-"""The law in closed loop with the simulated world: what slips is arrested, what does not is left alone."""
+"""The controller in closed loop with the simulated world: slip is arrested, a firm hold is left alone."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_what_would_slip_is_lifted_and_held(seed: int) -> None:
     assert truth.force_n >= needed_n
 
 
-def test_unguarded_the_same_objects_turn_or_fall() -> None:
+def test_unguarded_the_same_objects_rotate_or_fall() -> None:
     bad = 0
     for seed in range(12):
         run, _ = drawn(seed)
@@ -82,19 +82,19 @@ def test_the_worst_cell_in_a_hurry(gel: SoftPad) -> None:
     assert run.world.truth(run.now_s).dropped is None
 
 
-@pytest.mark.parametrize("blind", [("left",), ("right",)])
-def test_one_finger_is_enough(blind: tuple[str, ...]) -> None:
+@pytest.mark.parametrize("without_estimate", [("left",), ("right",)])
+def test_one_finger_is_enough(without_estimate: tuple[str, ...]) -> None:
     for seed in range(4):
-        run, _ = drawn(seed, blind=blind)
+        run, _ = drawn(seed, without_estimate=without_estimate)
         grasp_and_lift(run)
         assert run.phase is Phase.HOLDING
         assert run.peak_deg < 25.0
         assert any("one finger only" in said for said in run.says)
 
 
-def test_blind_it_grips_firmly_first() -> None:
+def test_without_an_estimate_it_grips_firmly_first() -> None:
     for seed in range(4):
-        run, needed_n = drawn(seed, blind=("left", "right"))
+        run, needed_n = drawn(seed, without_estimate=("left", "right"))
         truth = grasp_and_lift(run).world.truth(run.now_s)
         assert run.phase is Phase.HOLDING
         assert truth.force_n > needed_n
@@ -134,7 +134,7 @@ FRAGILE = guard_params(force_max_n=57.0, no_estimate_force_n=57.0)
 @pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])
 @pytest.mark.parametrize("needed_n", [44.0, 50.0])
 def test_a_firm_grip_that_is_not_enough_is_tightened_while_it_lifts_off(gel: SoftPad, needed_n: float) -> None:
-    """40 N of the 57 allowed: most of the budget from the start."""
+    """40 N of the 57 allowed: most of the force limit from the start."""
     run = grasp_and_lift(placed(bar(needed_n, gel, 70.0), Scenario("bar", gel=gel), FRAGILE))
     truth = run.world.truth(run.now_s)
     assert run.phase is Phase.HOLDING
@@ -142,7 +142,7 @@ def test_a_firm_grip_that_is_not_enough_is_tightened_while_it_lifts_off(gel: Sof
     assert truth.applied_n <= FRAGILE.force_max_n
 
 
-def test_a_soft_gel_wound_up_by_all_of_the_budget_stops_the_lift_a_few_times_at_most() -> None:
+def test_a_soft_gel_twisted_at_the_force_limit_stops_the_lift_a_few_times_at_most() -> None:
     spent = FRAGILE.model_copy(update={"first_force_n": 57.0})
     gel = SoftPad(torsion_n_m_rad=0.1, stiffening=3.0, relaxation_s=0.02)
     run = grasp_and_lift(placed(bar(50.0, gel, 70.0), Scenario("bar", gel=gel), spent))

@@ -1,4 +1,4 @@
-"""Two fingers' estimates as one turn."""
+"""The estimates of two fingers fused into one rotation."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ rotations = st.floats(-60.0, 60.0)
 sigmas = st.floats(0.05, 6.0)
 
 
-def test_nobody_says_anything() -> None:
+def test_without_estimates_there_is_no_fused_estimate() -> None:
     assert fuse(None, None) is None
 
 
-def test_a_turn_has_opposite_signs_in_the_two_pictures() -> None:
+def test_a_rotation_has_opposite_signs_in_the_two_images() -> None:
     both = fuse(estimate(12.0), estimate(-12.0))
     assert both is not None
     assert both.rotation_deg == pytest.approx(12.0)
@@ -68,7 +68,7 @@ def test_rates_and_shifts_are_fused_too() -> None:
         (estimate(None, contact=False), estimate(8.0), -8.0, "right", "left finger: no contact"),
     ],
 )
-def test_one_blind_finger_leaves_the_other_with_a_note(
+def test_one_finger_without_estimate_leaves_the_other_with_a_note(
     left: object, right: object, rotation: float, finger: str, note: str
 ) -> None:
     one = fuse(left, right)  # type: ignore[arg-type]
@@ -80,7 +80,7 @@ def test_one_blind_finger_leaves_the_other_with_a_note(
     assert one.conflict is None
 
 
-def test_two_blind_fingers_decline_with_both_reasons() -> None:
+def test_two_fingers_without_estimate_decline_with_both_reasons() -> None:
     none = fuse(estimate(None, declined="round contact", shift_mm=(0.0, -1.0)), estimate(None, contact=False))
     assert none is not None
     assert none.rotation_deg is None
@@ -103,7 +103,7 @@ def test_contact() -> None:
     assert touch(None, True) == (False, False)
 
 
-def test_the_same_way_in_both_pictures_is_a_conflict_and_the_larger_turn_is_taken() -> None:
+def test_the_same_sign_in_both_images_is_a_conflict_and_the_larger_rotation_is_used() -> None:
     both = fuse(estimate(5.0), estimate(9.0))
     assert both is not None
     assert both.conflict is not None
@@ -127,7 +127,7 @@ def test_disagreement_widens_sigma() -> None:
     assert apart.sigma_deg == pytest.approx(0.5 / math.sqrt(2) * 3.0 / math.hypot(0.5, 0.5))
 
 
-def test_the_newer_turn_is_moved_back_to_the_moment_of_the_older() -> None:
+def test_the_newer_rotation_is_moved_back_to_the_moment_of_the_older() -> None:
     both = fuse(estimate(10.0, at_s=1.00, rate_deg_s=100.0), estimate(-12.0, at_s=1.02, rate_deg_s=-100.0))
     assert both is not None
     assert both.captured_at_s == both.measured_at_s == 1.00
@@ -152,7 +152,7 @@ def test_a_skipped_frame_keeps_its_age() -> None:
 
 
 @given(rotations, sigmas, rotations, sigmas)
-def test_both_fingers_mirrored_give_the_mirrored_turn(a: float, sa: float, b: float, sb: float) -> None:
+def test_both_fingers_mirrored_give_the_mirrored_rotation(a: float, sa: float, b: float, sb: float) -> None:
     one, other = fuse(estimate(a, sa), estimate(b, sb)), fuse(estimate(-a, sa), estimate(-b, sb))
     assert one is not None
     assert other is not None

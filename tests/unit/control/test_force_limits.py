@@ -1,4 +1,4 @@
-"""The force budget and the steps within it."""
+"""The force limit and the steps up to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ranges = st.builds(
 ).filter(lambda one: one is not None)
 
 
-def test_the_budget_is_the_lesser_of_gripper_and_configuration_on_the_registers_grid() -> None:
+def test_the_force_range_is_the_smaller_of_gripper_and_configuration_on_the_register_grid() -> None:
     within = limits.force_range(130.0, ROBOTIQ_85)
     assert within is not None
     assert within.low_n == 20.0
@@ -34,7 +34,7 @@ def test_the_budget_is_the_lesser_of_gripper_and_configuration_on_the_registers_
     assert exact.high_n == 20.0
 
 
-def test_less_than_the_weakest_grip_is_no_budget() -> None:
+def test_below_the_weakest_grip_there_is_no_force_range() -> None:
     assert limits.force_range(19.9, ROBOTIQ_85) is None
     assert limits.force_range(19.9, (10.0, 125.0)) is not None
 
@@ -56,7 +56,9 @@ def test_forces_are_rounded_up_and_kept_within() -> None:
 
 
 @given(forces, forces, ranges)
-def test_never_below_the_present_and_never_above_the_budget(wanted: float, present: float, within: ForceRange) -> None:
+def test_never_below_the_present_and_never_above_the_force_limit(
+    wanted: float, present: float, within: ForceRange
+) -> None:
     force_n = within.allowed(wanted, present)
     assert force_n >= present
     assert force_n <= max(within.high_n, present)
@@ -65,7 +67,7 @@ def test_never_below_the_present_and_never_above_the_budget(wanted: float, prese
 
 
 @given(st.floats(20.0, 235.0), st.floats(1.0, 3.0), ranges)
-def test_raising_gains_at_least_one_step_until_the_budget_is_spent(
+def test_raising_gains_at_least_one_step_until_the_force_limit(
     present: float, multiple: float, within: ForceRange
 ) -> None:
     force_n = within.raised(present, multiple)
@@ -73,14 +75,14 @@ def test_raising_gains_at_least_one_step_until_the_budget_is_spent(
 
 
 @given(st.floats(20.0, 235.0), st.floats(0.0, 300.0))
-def test_a_gripper_that_rounds_up_stays_within_the_budget(force_max_n: float, wanted: float) -> None:
+def test_a_gripper_that_rounds_up_stays_within_the_force_limit(force_max_n: float, wanted: float) -> None:
     model = GripperDynamics()
     within = limits.force_range(force_max_n, (model.force_min_n, model.force_max_n))
     assert within is not None
     assert model.quantized_force_n(within.allowed(wanted, 0.0)) <= force_max_n + 1e-6
 
 
-def test_the_faster_it_turns_the_larger_the_step() -> None:
+def test_the_faster_it_rotates_the_larger_the_step() -> None:
     assert limits.multiplier(1.5, 0.0, 0.25) == 1.5
     assert limits.multiplier(1.5, 100.0, 0.25) == pytest.approx(1.75)
     assert limits.multiplier(1.5, -100.0, 0.25) == 1.5

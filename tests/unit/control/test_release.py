@@ -1,4 +1,4 @@
-"""Letting go: the arm stands first, the jaws open in the end, and nothing tightens what was to be let go."""
+"""Release: the arm stands first, the jaws open in any case, and nothing tightens the object meanwhile."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_jaws_open_when_the_arm_stands(params: GuardParams) -> None:
     assert play.grasp.phase is Phase.IDLE
 
 
-def test_an_arm_told_to_move_a_moment_ago_does_not_pass_for_one_that_stands() -> None:
+def test_an_arm_commanded_a_moment_ago_does_not_count_as_standing() -> None:
     play = Play().held()
     assert isinstance(play.step(RequestKind.LIFT).arm, LiftArm)
     command = play.step(RequestKind.RELEASE)  # it has not taken it up yet
@@ -61,7 +61,7 @@ def test_an_arm_told_to_move_a_moment_ago_does_not_pass_for_one_that_stands() ->
 
 
 @pytest.mark.parametrize("silent", ["gone", "old", "moving"])
-def test_the_jaws_open_in_the_end_whatever_the_arm_says(silent: str) -> None:
+def test_the_jaws_open_in_the_end_with_any_state_of_the_arm(silent: str) -> None:
     here = {"gone": None, "old": arm(20.0, at_s=NOW_S - 1.0), "moving": arm(20.0, moving=True, at_s=NOW_S + 9.0)}
     view = seen_in(Phase.HOLDING, arm=here[silent], request=ask(RequestKind.RELEASE))
     state, command = step(state_in(Phase.HOLDING), view, PARAMS)
@@ -83,7 +83,7 @@ def test_asked_again_the_wait_gets_no_longer_and_the_newest_width_counts() -> No
     assert 60.0 in [released_mm(command) for command in play.steps(0.04)]
 
 
-def test_an_arm_that_goes_on_is_told_to_stop_while_and_after_the_jaws_open_and_then_given_up() -> None:
+def test_a_moving_arm_is_stopped_until_the_jaws_are_open_and_then_given_up() -> None:
     play = lifting()
     play.step(RequestKind.RELEASE)
     play.steps(OPEN_ANYWAY_S + 0.02)
@@ -119,7 +119,7 @@ def stuck() -> Play:
     return play
 
 
-def test_what_was_to_be_let_go_is_not_gripped_tighter() -> None:
+def test_after_a_release_request_the_grip_is_not_tightened() -> None:
     play = stuck()
     play.slips(20.0, 100.0, frames=20)
     play.jaws = gripper(20.0)
@@ -127,13 +127,13 @@ def test_what_was_to_be_let_go_is_not_gripped_tighter() -> None:
     assert all(command.hold_force_n is None for command in play.commands[-150:])
 
 
-def test_what_was_to_be_let_go_is_not_missed_when_it_goes() -> None:
+def test_after_a_release_request_the_object_is_not_lost() -> None:
     play = stuck()
     play.jaws = gripper(0.0, holding=False)
     assert all(command.text is None for command in play.steps(0.5))
 
 
-def test_guarded_again_when_somebody_says_so() -> None:
+def test_guarded_again_on_request() -> None:
     play = stuck()
     command = play.step(RequestKind.GUARD_ON)
     assert command.new_reference

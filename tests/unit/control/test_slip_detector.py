@@ -1,4 +1,4 @@
-"""One look at a time: every field of what is remembered and of what was seen, at and beside the limits."""
+"""Single assessments: every field of memory and result, at and next to the limits."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ BEFORE = slip_memory(
     rate_mm_s=2.0, settled_deg=4.9, settled_mm=1.1, settled_since_s=9.0,
     start_mm=0.0, resting_deg=4.5, previous_deg=4.6, before_motion_deg=4.4, followed_s=10.0,
 )  # fmt: skip
-"""The arm moves, or nobody knows."""
+"""The arm moves, or it is unknown."""
 
 
 def observation(rotation_deg: float | None = 5.0, rate_deg_s: float | None = 0.0, **changes: object) -> FusedEstimate:
-    told = fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=1.3, sigma_deg=0.1)
-    return changed(told, **{"newest_at_s": NOW_S, **changes})  # type: ignore[arg-type]
+    given = fused(rotation_deg, rate_deg_s, at_s=NOW_S, shift_mm=1.3, sigma_deg=0.1)
+    return changed(given, **{"newest_at_s": NOW_S, **changes})  # type: ignore[arg-type]
 
 
 def at_rest(rotation_deg: float = 5.0, **changes: object) -> SlipMemory:
-    """At rest in the air for a while, at that turn."""
+    """At rest in the air for a while, at that rotation."""
     same = dict.fromkeys(
         ("episode_deg", "last_deg", "settled_deg", "resting_deg", "previous_deg", "before_motion_deg"), rotation_deg
     )
@@ -44,7 +44,7 @@ def stands(height_mm: float = 200.0) -> ArmState:
 
 
 def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
-    """0.8 degrees further, of which the object has turned 0.6; 0.3 mm, of which it has moved 0.1."""
+    """0.8 degrees further, of which the object has rotated 0.6; 0.3 mm, of which it has moved 0.1."""
     sight = assess_slip(BEFORE, observation(5.8, 12.0, fingers=("left",), shift_mm=1.5), PARAMS)
     smooth_mm = 1.4 + (1.0 - math.exp(-1.0)) * 0.1
     rate_mm_s = (1.5 - smooth_mm) / 0.05
@@ -81,7 +81,7 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
     )
 
 
-def test_told_anew_without_a_new_measurement_it_is_the_same_frame() -> None:
+def test_the_same_estimate_again_is_the_same_frame() -> None:
     before = changed(BEFORE, measured_s=NOW_S, frames=1, far_frames=1)
     after = assess_slip(before, observation(5.8, 12.0, fingers=("left",), shift_mm=1.5), PARAMS).memory
     assert (after.fingers.last_deg, after.fingers.last_s) == (pytest.approx(5.2), 10.0)
@@ -98,10 +98,10 @@ def test_a_finger_without_rate_or_shift_is_taken_as_it_is() -> None:
     ("rotation_deg", "rate_deg_s", "by_deg"),
     [(5.05, 0.0, 0.05), (5.5, 0.0, 0.2), (4.9, 0.0, -0.1), (4.7, 0.0, 0.2), (6.25, 12.0, 0.05)],
 )
-def test_what_a_change_of_finger_moves_is_the_smaller_of_two_looks(
+def test_the_offset_between_fingers_is_the_smaller_of_two_frames(
     rotation_deg: float, rate_deg_s: float, by_deg: float
 ) -> None:
-    """The first frame said 0.2; by the second's rate the object may have turned since."""
+    """The first frame said 0.2; by the second's rate the object may have rotated since."""
     first = assess_slip(BEFORE, observation(5.2, fingers=("left",)), PARAMS).memory
     again = observation(
         rotation_deg, rate_deg_s, fingers=("left",), captured_at_s=NOW_S + 0.05, measured_at_s=NOW_S + 0.05
@@ -119,17 +119,17 @@ def test_what_a_change_of_finger_moves_is_the_smaller_of_two_looks(
     ("told_deg", "rotation_deg", "rate_deg_s", "by_deg"),
     [(5.0, 5.4, 0.0, 0.4), (5.3, 5.4, 0.0, 0.1), (4.8, 5.1, 0.0, 0.1), (5.3, 5.0, 0.0, 0.0), (5.0, 5.6, 10.0, 0.1)],
 )
-def test_at_rest_what_fingers_differ_by_is_the_smaller_from_where_it_rested_and_was_told(
+def test_at_rest_the_offset_is_the_smaller_from_resting_angle_and_last_estimate(
     told_deg: float, rotation_deg: float, rate_deg_s: float, by_deg: float
 ) -> None:
-    """At rest at 5 degrees, told last with some noise."""
+    """At rest at 5 degrees, given last with some noise."""
     before = at_rest(5.0, last_deg=told_deg)
     after = assess_slip(before, observation(rotation_deg, rate_deg_s, fingers=("left",)), PARAMS, arm=stands()).memory
     assert after.baselines.episode_deg == pytest.approx(5.0 + by_deg)
     assert after.fingers.switch == FingerSwitch(told_deg, 10.0, 5.0, pytest.approx(by_deg), NOW_S)
 
 
-def test_both_looks_together_move_no_further_than_all_difference() -> None:
+def test_both_frames_together_move_no_further_than_the_largest_offset() -> None:
     handed = changed(BEFORE, total_deg=1.9)
     first = assess_slip(handed, observation(7.0, fingers=("left",)), PARAMS).memory
     assert (first.baselines.episode_deg, first.fingers.total_deg) == (pytest.approx(4.1), pytest.approx(2.0))
@@ -137,17 +137,17 @@ def test_both_looks_together_move_no_further_than_all_difference() -> None:
     assert (second.baselines.episode_deg, second.fingers.total_deg) == (pytest.approx(3.95), pytest.approx(1.85))
 
 
-def test_the_second_look_is_at_another_measurement_of_every_finger() -> None:
+def test_the_second_frame_is_a_new_measurement_of_every_finger() -> None:
     first = assess_slip(BEFORE, observation(5.2, fingers=("left",), newest_at_s=NOW_S + 0.01), PARAMS).memory
     for measured_s in (NOW_S + 0.005, NOW_S + 0.01):
         same = assess_slip(first, observation(5.0, fingers=("left",), measured_at_s=measured_s), PARAMS).memory
         assert (same.baselines.episode_deg, same.fingers.switch) == (pytest.approx(4.2), first.fingers.switch)
 
 
-def follow(before: SlipMemory, told: list[tuple[tuple[str, ...], float]]) -> list[SlipAssessment]:
+def follow(before: SlipMemory, given: list[tuple[tuple[str, ...], float]]) -> list[SlipAssessment]:
     """Frame after frame at 60 a second, at rest: who tells it, and what."""
     looks: list[SlipAssessment] = []
-    for k, (fingers, rotation_deg) in enumerate(told, 1):
+    for k, (fingers, rotation_deg) in enumerate(given, 1):
         at_s = NOW_S + k / 60.0
         one = observation(rotation_deg, fingers=fingers, captured_at_s=at_s, measured_at_s=at_s, newest_at_s=at_s)
         looks.append(assess_slip(before, one, PARAMS, arm=arm(200.0, at_s=at_s)))
@@ -160,29 +160,29 @@ BOTH, LEFT = ("left", "right"), ("left",)
 
 @pytest.mark.parametrize("slip_deg", [0.7, 0.9, -1.5])
 def test_a_finger_that_drops_out_and_returns_hides_no_slip(slip_deg: float) -> None:
-    """The object turns as the right finger drops out, and the left one differs by just as much."""
-    told = [(BOTH, 5.0), *[(LEFT, 5.0)] * 6, *[(BOTH, 5.0 + slip_deg)] * 3]
-    looks = follow(at_rest(5.0), told)
+    """The object rotates as the right finger drops out, and the left one differs by just as much."""
+    given = [(BOTH, 5.0), *[(LEFT, 5.0)] * 6, *[(BOTH, 5.0 + slip_deg)] * 3]
+    looks = follow(at_rest(5.0), given)
     assert looks[-1].rotation_deg == pytest.approx(abs(slip_deg))
     assert looks[-1].slipping
 
 
 def test_creep_is_not_swallowed_bit_by_bit_by_a_finger_that_comes_and_goes() -> None:
-    told = [(BOTH, 5.0), *[(LEFT, 4.5)] * 6]  # it differs by 0.5
+    given = [(BOTH, 5.0), *[(LEFT, 4.5)] * 6]  # it differs by 0.5
     for k in range(40):
         fingers = BOTH if k // 6 % 2 == 0 else LEFT
-        told.append((fingers, 5.0 + 2.0 * k / 60.0 - 0.5 * (fingers == LEFT)))
-    looks = follow(at_rest(5.0), told)
+        given.append((fingers, 5.0 + 2.0 * k / 60.0 - 0.5 * (fingers == LEFT)))
+    looks = follow(at_rest(5.0), given)
     assert any(one.slipping for one in looks)
     assert looks[-1].rotation_deg == pytest.approx(2.0 * 39 / 60.0, abs=0.05)
 
 
-def test_a_frame_after_a_gap_is_no_second_look() -> None:
+def test_a_frame_after_a_gap_does_not_confirm_the_offset() -> None:
     first = assess_slip(BEFORE, observation(5.9, fingers=LEFT), PARAMS).memory
-    blind = assess_slip(first, observation(None), PARAMS).memory
-    assert blind.fingers.switch is None
+    without_estimate = assess_slip(first, observation(None), PARAMS).memory
+    assert without_estimate.fingers.switch is None
     later_s = NOW_S + 0.15
-    for before in (first, blind):
+    for before in (first, without_estimate):
         later = observation(4.0, fingers=LEFT, measured_at_s=later_s, captured_at_s=later_s, newest_at_s=later_s)
         after = assess_slip(before, later, PARAMS).memory
         assert (after.baselines.episode_deg, after.fingers.total_deg, after.fingers.switch) == (
@@ -192,7 +192,7 @@ def test_a_frame_after_a_gap_is_no_second_look() -> None:
         )
 
 
-def test_a_place_that_these_fingers_have_told_themselves_is_moved_by_no_second_look() -> None:
+def test_a_baseline_of_these_fingers_is_not_moved_by_the_second_frame() -> None:
     lifting = changed(BEFORE, case=ArmCase.LIFT_OFF, before_motion_deg=None)
     first = assess_slip(lifting, observation(6.0, fingers=LEFT), PARAMS, arm=stands()).memory
     assert (first.baselines.episode_deg, first.fingers.switch) == (6.0, None)
@@ -217,7 +217,7 @@ def test_what_counts_as_another_place() -> None:
     assert not nowhere.counts_from_elsewhere(nowhere)
 
 
-def test_fingers_that_change_again_are_looked_at_anew() -> None:
+def test_after_another_switch_the_offset_is_measured_again() -> None:
     first = assess_slip(BEFORE, observation(5.2, fingers=("left",)), PARAMS).memory
     again = assess_slip(first, observation(5.3, fingers=("right",), measured_at_s=NOW_S + 0.05), PARAMS).memory
     assert dict(again.fingers.known) == {BOTH: 0.1, LEFT: pytest.approx(0.3)}
@@ -225,7 +225,7 @@ def test_fingers_that_change_again_are_looked_at_anew() -> None:
     assert assess_slip(SlipMemory(), observation(5.2), PARAMS).memory.fingers.switch is None
 
 
-def test_no_turn_leaves_everything_where_it_is() -> None:
+def test_without_a_rotation_every_baseline_stays() -> None:
     sight = assess_slip(BEFORE, observation(None), PARAMS)
     assert (sight.rotation_deg, sight.rate_deg_s, sight.slip_mm) == (0.0, 0.0, pytest.approx(0.3))
     assert (sight.memory.fingers.last_deg, sight.memory.fingers.last_s) == (5.0, 10.0)
@@ -234,7 +234,7 @@ def test_no_turn_leaves_everything_where_it_is() -> None:
     assert assess_slip(changed(BEFORE, episode_mm=0.0, smooth_mm=1.3), observation(), PARAMS).slip_mm == 1.3
 
 
-def test_where_the_arm_comes_to_rest_is_where_turns_and_slides_count_from() -> None:
+def test_motion_counts_from_where_the_arm_comes_to_rest() -> None:
     lifting = changed(BEFORE, case=ArmCase.LIFT_OFF, before_motion_deg=None)
     after = assess_slip(lifting, observation(), PARAMS, arm=stands()).memory
     assert (after.baselines.episode_deg, after.baselines.episode_mm, after.baselines.before_motion_deg) == (
@@ -260,7 +260,7 @@ def test_an_end_of_an_episode_forgets_the_places_and_nothing_else() -> None:
     )
 
 
-def test_a_grip_is_not_firm_and_a_turn_back_no_exception_unless_said_so() -> None:
+def test_by_default_a_grip_is_not_firm_and_rotation_back_is_slip() -> None:
     lifting = at_rest(0.0, start_mm=0.0, resting_deg=0.0, followed_s=10.0, case=ArmCase.LIFT_OFF)
     rising = arm(10.0, moving=True, at_s=NOW_S)
     assert assess_slip(lifting, observation(0.8), PARAMS, arm=rising).rotates
@@ -283,7 +283,7 @@ def test_a_grip_is_not_firm_and_a_turn_back_no_exception_unless_said_so() -> Non
         (5.61, 5.2, ("left",), 1),
     ],
 )
-def test_what_a_sudden_turn_counts_in_a_lift_off(
+def test_how_many_frames_a_sudden_rotation_counts_in_a_lift_off(
     rotation_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int
 ) -> None:
     lifting = {"case": ArmCase.LIFT_OFF, "aloft": False, "previous_deg": None, "before_motion_deg": None}
@@ -297,18 +297,19 @@ def test_what_a_sudden_turn_counts_in_a_lift_off(
 
 
 @pytest.mark.parametrize(
-    ("slip_mm", "smooth_mm", "slides"), [(0.5, 0.0, False), (0.51, 0.0, True), (2.0, 2.0, False), (2.01, 2.01, True)]
+    ("slip_mm", "smooth_mm", "translates"),
+    [(0.5, 0.0, False), (0.51, 0.0, True), (2.0, 2.0, False), (2.01, 2.01, True)],
 )
-def test_a_slide_counts_beyond_its_level(slip_mm: float, smooth_mm: float, slides: bool) -> None:
+def test_translation_counts_beyond_its_threshold(slip_mm: float, smooth_mm: float, translates: bool) -> None:
     before = changed(BEFORE, episode_mm=0.0, smooth_mm=smooth_mm)
     sight = assess_slip(before, observation(4.0, shift_mm=slip_mm), PARAMS)
-    assert sight.translates is slides
-    assert sight.memory.frames == int(slides)
+    assert sight.translates is translates
+    assert sight.memory.frames == int(translates)
     assert not sight.rotates
 
 
 @pytest.mark.parametrize(("rotation_deg", "far"), [(45.0, 0), (-45.0, 0), (45.1, 3), (-45.1, 3)])
-def test_frames_beyond_the_turn_at_which_it_is_given_up_are_counted(rotation_deg: float, far: int) -> None:
+def test_frames_beyond_the_largest_rotation_are_counted(rotation_deg: float, far: int) -> None:
     before = at_rest(rotation_deg, far_frames=2)
     assert assess_slip(before, observation(rotation_deg), PARAMS).memory.far_frames == far
     assert assess_slip(before, observation(rotation_deg, conflict="the same way"), PARAMS).memory.far_frames == 0
@@ -317,11 +318,11 @@ def test_frames_beyond_the_turn_at_which_it_is_given_up_are_counted(rotation_deg
 
 @pytest.mark.parametrize(("rate_deg_s", "moving"), [(8.0, True), (7.9, False), (-8.0, False)])
 def test_it_moves_from_the_rate_of_slip_on(rate_deg_s: float, moving: bool) -> None:
-    calm = changed(BEFORE, smooth_mm=1.3)
-    assert assess_slip(calm, observation(5.0, rate_deg_s), PARAMS).moving is moving
+    settled = changed(BEFORE, smooth_mm=1.3)
+    assert assess_slip(settled, observation(5.0, rate_deg_s), PARAMS).moving is moving
 
 
-def test_what_has_strayed_counts_from_its_last_rest() -> None:
+def test_an_object_that_rests_further_out_counts_from_its_last_rest() -> None:
     strayed = at_rest(5.0, episode_deg=7.2, last_deg=7.2, resting_deg=7.2)
     sight = assess_slip(strayed, observation(7.2), PARAMS, arm=stands())
     assert (sight.memory.baselines.episode_deg, sight.rotation_deg) == (5.0, pytest.approx(2.2))
@@ -332,7 +333,7 @@ def test_what_has_strayed_counts_from_its_last_rest() -> None:
     assert (near.memory.baselines.episode_deg, near.rotates) == (7.2, False)
 
 
-def test_after_a_tightening_a_sudden_turn_must_be_twice_as_large() -> None:
+def test_after_a_tightening_a_sudden_rotation_must_be_twice_as_large() -> None:
     for rotation_deg, counts in ((5.7, 0), (5.75, 1)):
         sight = assess_slip(at_rest(5.0, rotations=1), observation(rotation_deg), PARAMS, arm=stands())
         assert sight.memory.frames == counts
@@ -340,7 +341,7 @@ def test_after_a_tightening_a_sudden_turn_must_be_twice_as_large() -> None:
 
 
 @pytest.mark.parametrize(("rotation_deg", "frames"), [(5.35, 0), (5.37, 1), (4.63, 1), (5.9, 1)])
-def test_what_a_sudden_turn_counts_at_rest(rotation_deg: float, frames: int) -> None:
+def test_how_many_frames_a_sudden_rotation_counts_at_rest(rotation_deg: float, frames: int) -> None:
     assert (
         assess_slip(at_rest(5.0, last_deg=5.2), observation(rotation_deg), PARAMS, arm=stands()).memory.frames == frames
     )
@@ -356,7 +357,7 @@ def test_at_rest_another_frame_counts_if_it_is_later_than_any_flash() -> None:
         assert again.memory.frames == frames
 
 
-def test_fingers_that_speak_in_turns_show_a_frame_each_time_both_have_spoken() -> None:
+def test_fingers_measured_alternately_count_a_frame_when_both_are_new() -> None:
     lifting = {"case": ArmCase.LIFT_OFF, "aloft": False, "previous_deg": None, "before_motion_deg": None}
     memory, counted = at_rest(5.0, **lifting), []
     for number in range(1, 9):
@@ -367,7 +368,7 @@ def test_fingers_that_speak_in_turns_show_a_frame_each_time_both_have_spoken() -
     assert counted == [1, 1, 2, 2, 3, 3, 4, 4]
 
 
-def test_a_turn_all_the_way_back_is_neither_slip_nor_an_error() -> None:
+def test_rotation_all_the_way_back_is_neither_slip_nor_an_error() -> None:
     for rotation_deg in (0.0, -0.5):
         back = at_rest(5.0, episode_deg=rotation_deg, last_deg=rotation_deg, resting_deg=rotation_deg)
         assert not assess_slip(back, observation(rotation_deg), PARAMS, arm=stands()).rotates

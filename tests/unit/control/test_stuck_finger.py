@@ -1,4 +1,4 @@
-"""A finger that is sure that nothing turns (dirt, an imprint of its own, a pad that turns along) hides no slip."""
+"""A finger that is certain that nothing rotates (dirt, an imprint, a pad that rotates along) hides no slip."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from slipguard.perception.skipping import repeat_estimate, second_finger_can_ski
 
 PARAMS = GuardParams()
 FRAME_S = 1 / 60
-CALM_S = 1.0
+REST_S = 1.0
 """At rest for so long before the slip begins."""
 NOTICED_S = 0.25
 
 
 @dataclass(slots=True)
 class Pair:
-    """The left finger is stuck at 0 and its picture unchanged; the right one sees the object turn, and come to rest."""
+    """The left finger is stuck at 0 and its image unchanged; the right one sees the object rotation, and come to rest."""
 
     sigma_deg: float
     rate_deg_s: float
@@ -43,7 +43,7 @@ class Pair:
     looks: list[float] = field(default_factory=list)
 
     def rotation_deg(self, now_s: float) -> float:
-        return min(max(now_s - CALM_S - self.phase_s, 0.0) * self.rate_deg_s, self.rests_deg)
+        return min(max(now_s - REST_S - self.phase_s, 0.0) * self.rate_deg_s, self.rests_deg)
 
     def assess_slip(self, now_s: float) -> Estimate:
         self.looks.append(now_s)
@@ -69,7 +69,7 @@ class Pair:
 
 
 def played(pair: Pair, seconds: float) -> tuple[ControlState, list[tuple[float, FusedEstimate, StepOutput]]]:
-    """Held at rest in the air with 40 N, and what the law does; the gripper takes what it is told."""
+    """Held at rest in the air with 40 N, and what the controller does; the gripper takes what it is given."""
     guard = ControlState(grasp_state(phase=Phase.HOLDING, adopted=True, target_n=40.0, referenced=True, closed=True))
     log, force_n = [], 40.0
     for k in range(1, round(seconds / FRAME_S)):
@@ -85,15 +85,15 @@ def played(pair: Pair, seconds: float) -> tuple[ControlState, list[tuple[float, 
 
 @pytest.mark.parametrize("spare", [False, True])
 @pytest.mark.parametrize(("sigma_deg", "within_deg"), [(0.1, 5.0), (0.2, 5.0), (0.44, 5.0), (1.0, 7.0)])
-def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: float, spare: bool) -> None:
+def test_the_controller_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: float, spare: bool) -> None:
     pair = Pair(sigma_deg, 20.0, spare)
-    guard, log = played(pair, CALM_S + 2.5)
+    guard, log = played(pair, REST_S + 2.5)
     late_deg = 20.0 * NOTICED_S * spare  # a finger that is left out is looked at that late
     tightened_s = next(now_s for now_s, _, command in log if command.hold_force_n is not None)
     assert 0.0 < pair.rotation_deg(tightened_s) <= within_deg + late_deg
     begun_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
-    told = [command.text for _, _, command in log if command.text is not None and "left one says +0.0°" in command.text]
-    assert len(told) == 2  # once when it begins, once as a fault
+    given = [command.text for _, _, command in log if command.text is not None and "(left +0.0°" in command.text]
+    assert len(given) == 2  # once when it begins, once as a fault
     fault_s, stop = next((now_s, command) for now_s, _, command in log if command.fault is not None)
     assert stop.fault is not None
     assert stop.fault.code is FaultCode.ESTIMATE_UNTRUSTED
@@ -107,26 +107,26 @@ def test_the_law_tightens_and_then_stops_the_arm(sigma_deg: float, within_deg: f
 @pytest.mark.parametrize("phase_s", [0.0, 0.07, 0.14, 0.21])
 def test_what_a_finger_that_is_left_out_would_say_is_known_within_250_ms(rate_deg_s: float, phase_s: float) -> None:
     pair = Pair(0.3, rate_deg_s, spare=True, phase_s=phase_s)
-    _, log = played(pair, CALM_S + 1.5)
+    _, log = played(pair, REST_S + 1.5)
     beyond_s = next(now_s for now_s, _, _ in log if pair.rotation_deg(now_s) * (1.0 - DIFFER_SHARE) > DIFFER_DEG)
     noticed_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
     assert noticed_s - beyond_s <= NOTICED_S
-    at_rest = [now_s for now_s in pair.looks if now_s < CALM_S]
-    assert len(at_rest) <= 5  # it is left out as long as nothing turns
+    at_rest = [now_s for now_s in pair.looks if now_s < REST_S]
+    assert len(at_rest) <= 5  # it is left out as long as nothing rotates
     after = [now_s for now_s in pair.looks if now_s >= noticed_s]
     assert np.diff(after) == pytest.approx(FRAME_S)
 
 
-def test_a_stuck_finger_is_said_though_the_object_rests_turned() -> None:
-    guard, _ = played(Pair(0.2, 4000.0), CALM_S + 1.5)
+def test_a_stuck_finger_is_reported_while_the_object_rests_rotated() -> None:
+    guard, _ = played(Pair(0.2, 4000.0), REST_S + 1.5)
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
 
 
 @pytest.mark.parametrize(("every", "spare"), [(2, False), (5, False), (10, False), (2, True), (10, True)])
 def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare: bool) -> None:
-    """The finger that sees the turn declines now and then; the stuck one alone is believed until it is asked again."""
-    guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), CALM_S + 2.0)
+    """The finger that sees the rotation declines now and then; the stuck one alone is believed until it is asked again."""
+    guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), REST_S + 2.0)
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
     assert sum("for 1 s" in (command.text or "") for _, _, command in log) == 1
@@ -134,8 +134,8 @@ def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare
 
 @pytest.mark.parametrize(("silent_for_s", "from_the_start"), [(0.5, True), (0.7, False)])
 def test_how_long_a_moment_is(silent_for_s: float, from_the_start: bool) -> None:
-    silent_s = (CALM_S + 0.4, CALM_S + 0.4 + silent_for_s)
-    _, log = played(Pair(0.2, 20.0, silent_s=silent_s), CALM_S + 3.0)
+    silent_s = (REST_S + 0.4, REST_S + 0.4 + silent_for_s)
+    _, log = played(Pair(0.2, 20.0, silent_s=silent_s), REST_S + 3.0)
     begun_s = next(now_s for now_s, view, _ in log if view.conflict is not None)
     fault_s = next(now_s for now_s, _, command in log if command.fault is not None)
     counted_from_s = begun_s if from_the_start else silent_s[1]
@@ -143,7 +143,7 @@ def test_how_long_a_moment_is(silent_for_s: float, from_the_start: bool) -> None
 
 
 def test_a_finger_that_is_silent_for_good_leaves_the_other_one_to_be_believed() -> None:
-    guard, _ = played(Pair(0.2, 20.0, silent_s=(CALM_S + 0.3, math.inf)), CALM_S + 3.0)
+    guard, _ = played(Pair(0.2, 20.0, silent_s=(REST_S + 0.3, math.inf)), REST_S + 3.0)
     assert guard.grasp.phase is Phase.HOLDING
 
 

@@ -1,4 +1,4 @@
-"""Every fault of the supervisor: said in time, with what was seen, and no longer said when it has passed."""
+"""Every fault of the supervisor: reported in time, with values, and no longer reported once it has passed."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def test_nothing_at_stake_nothing_wrong(phase: Phase) -> None:
     assert fault is None
 
 
-def test_what_has_passed_is_no_longer_said() -> None:
+def test_a_passed_fault_is_no_longer_reported() -> None:
     """So that it can be cleared."""
     state = grasp_state(phase=Phase.FAULT)
     memory, faults = supervise(KNOWN, state, observation(0.0, gripper=None), PARAMS)
@@ -180,7 +180,7 @@ def test_a_finger_that_only_ages_is_lost_too() -> None:
     assert "fresh" in fault.observed
 
 
-def test_an_arm_not_heard_since_the_start_may_take_a_while() -> None:
+def test_an_arm_not_received_since_the_start_gets_time() -> None:
     """So that what a restarted daemon finds held is guarded before the arm's control program runs."""
     found = grasp_state(phase=Phase.HOLDING, closed=True)
     memory, faults = supervise(Supervision(), found, observation(0.0, arm=None), PARAMS)
@@ -195,7 +195,7 @@ def test_an_arm_not_heard_since_the_start_may_take_a_while() -> None:
     assert fault.code is FaultCode.ARM_SILENT
 
 
-def test_an_arm_heard_while_nothing_was_held_is_known() -> None:
+def test_an_arm_received_while_nothing_was_held_is_known() -> None:
     memory, _ = supervise(Supervision(), grasp_state(phase=Phase.IDLE), observation(0.0), PARAMS)
     assert memory.arm_known
     memory, _ = supervise(memory, grasp_state(phase=Phase.IDLE), observation(0.1, arm=None), PARAMS)

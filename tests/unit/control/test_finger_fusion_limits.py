@@ -1,4 +1,4 @@
-"""What two fingers say together, whole: every field of the answer, at and beside every limit."""
+"""The fused estimate, every field, at and next to every limit."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def test_both() -> None:
 
 
 def test_one_declines() -> None:
-    blind = changed(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
-    assert fuse(LEFT, blind) == FusedEstimate(
+    without_estimate = changed(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
+    assert fuse(LEFT, without_estimate) == FusedEstimate(
         True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
     )
 
@@ -41,9 +41,9 @@ def test_one_is_silent() -> None:
 
 
 def test_both_decline() -> None:
-    blind = [changed(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
-    away = changed(blind[1], contact=False, shift_mm=None)
-    assert fuse(blind[0], away) == FusedEstimate(
+    without_estimate = [changed(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
+    away = changed(without_estimate[1], contact=False, shift_mm=None)
+    assert fuse(without_estimate[0], away) == FusedEstimate(
         True,
         False,
         8.0,
@@ -96,18 +96,18 @@ def test_disagreement_is_worth_less() -> None:
 
 
 @pytest.mark.parametrize(("angle_deg", "rotation_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
-def test_the_same_way_in_both_pictures(angle_deg: float, rotation_deg: float, sigma_deg: float) -> None:
+def test_the_same_sign_in_both_images(angle_deg: float, rotation_deg: float, sigma_deg: float) -> None:
     answer = fuse(LEFT, changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.25))
     assert answer is not None
     assert (answer.rotation_deg, answer.sigma_deg) == (rotation_deg, sigma_deg)
     assert answer.conflict == (
-        f"both pictures turn the same way (left +4.0°, right +{angle_deg:.1f}°): "
+        f"both images rotate the same way (left +4.0°, right +{angle_deg:.1f}°): "
         "a fault of one finger, or the object rolls"
     )
 
 
 @pytest.mark.parametrize(("angle_deg", "opposed"), [(1.5, False), (1.625, True)])
-def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed: bool) -> None:
+def test_an_uncertain_rotation_contradicts_no_finger(angle_deg: float, opposed: bool) -> None:
     answer = fuse(changed(LEFT, angle_deg=1.75), changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
     assert answer is not None
     assert (answer.conflict is not None) is opposed
@@ -126,8 +126,10 @@ def test_a_turn_that_is_not_certain_contradicts_nobody(angle_deg: float, opposed
         (0.0, -3.5, 0.5, None),
     ],
 )
-def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None) -> None:
-    """Beyond 3 degrees, a tenth of the turn, and five combined standard deviations; all of the larger one is used."""
+def test_one_finger_rotates_alone(
+    left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None
+) -> None:
+    """Beyond 3 degrees, a tenth of the rotation, and five combined standard deviations; all of the larger one is used."""
     left = changed(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
     right = changed(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
     answer = fuse(left, right)
@@ -137,8 +139,8 @@ def test_one_that_turns_alone(left_deg: float, right_deg: float, sigma_deg: floa
         assert answer.conflict is None
         return
     assert answer.conflict == (
-        f"the fingers contradict each other (the left one says {left_deg:+.1f}°, the right one {-right_deg:+.1f}°): "
-        "one is stuck or wrong, the larger turn is believed"
+        f"the fingers contradict each other (left {left_deg:+.1f}°, right {-right_deg:+.1f}°): "
+        "one is stuck or wrong, the larger rotation is used"
     )
     used = left if abs(left_deg) > abs(right_deg) else right
     assert (answer.rotation_deg, answer.sigma_deg) == (rotation_deg, sigma_deg)
@@ -155,7 +157,7 @@ def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
     )
 
 
-def test_a_turn_without_a_sigma_is_none() -> None:
+def test_a_rotation_without_a_sigma_is_none() -> None:
     answer = fuse(changed(LEFT, sigma_deg=None), RIGHT)
     assert answer is not None
     assert (answer.fingers, answer.note) == (("right",), "left finger: no reference yet")

@@ -1,4 +1,4 @@
-"""A person may be near: what closes or tightens is halted, and nothing is taken up again that nobody asked for."""
+"""While a person may be near, moving jaws are halted, and an interrupted closing is not resumed."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_a_close_not_yet_taken_up_is_halted_too() -> None:
 
 
 @pytest.mark.parametrize("says_it_holds", [True, False])
-def test_a_closing_cut_short_must_be_asked_for_again(says_it_holds: bool) -> None:
+def test_an_interrupted_closing_must_be_requested_again(says_it_holds: bool) -> None:
     """A gripper halted on its way may hold something, and says so where it cannot tell."""
     play = closing()
     play.here = STOPPED
@@ -88,7 +88,7 @@ def test_guarding_an_interrupted_closing_keeps_the_force_target() -> None:
     assert step(state, changed(view, gripper=gripper(60.0, at_s=NOW_S)), PARAMS)[0].grip.target_n == 60.0
 
 
-def test_in_guard_mode_a_closing_cut_short_is_not_taken_over() -> None:
+def test_in_guard_mode_an_interrupted_closing_is_not_taken_over() -> None:
     view = seen_in(Phase.HOLDING, gripper=gripper(0.0, at_s=NOW_S))
     state, command = step(state_in(Phase.IDLE, closing_interrupted=True), view, GUARD_MODE)
     assert state.phase is Phase.IDLE
@@ -103,7 +103,7 @@ def test_what_an_earlier_stop_has_halted_is_not_yet_gripped() -> None:
     assert step(state, view, PARAMS)[0].phase is Phase.CLOSING
 
 
-def test_a_tightening_is_halted_and_its_force_said_again_after_the_stop() -> None:
+def test_a_tightening_is_halted_and_its_force_commanded_again_after_the_stop() -> None:
     play = Play().held()
     target_n = play.slips().hold_force_n
     play.view = fused()
@@ -119,7 +119,7 @@ def test_a_tightening_is_halted_and_its_force_said_again_after_the_stop() -> Non
     assert not play.grasp.hands_off.closing_interrupted
 
 
-def test_each_stop_halts_anew() -> None:
+def test_each_stop_halts_the_jaws_again() -> None:
     play = closing()
     for _ in range(2):
         play.here = STOPPED

@@ -1,4 +1,4 @@
-"""Supervisor and law together: every phase against everything that can go wrong, as a table."""
+"""Supervisor and controller together: every phase against every failure, as a table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SLIPS = SlipEpisode(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
 HELD = AT_STAKE - {Phase.CLOSING}
 GUARDED = frozenset({Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
 SEEN = GUARDED | {Phase.REFERENCE}
-"""A turn that is seen ends the wait for a reference, and is guarded from then on."""
+"""A rotation that is seen ends the wait for a reference, and is guarded from then on."""
 View = Callable[[Observation, float], Observation]
 """What the event makes of what is seen in that phase; the time since it began."""
 
@@ -180,7 +180,7 @@ def test_a_release_in_every_phase_and_every_fault(phase: Phase, code: FaultCode)
 
 @pytest.mark.parametrize("kind", [kind for kind in RequestKind if kind not in (RequestKind.NONE, RequestKind.RELEASE)])
 @pytest.mark.parametrize("code", EVENTS)
-def test_in_a_fault_no_wish_but_a_release_moves_anything(code: FaultCode, kind: RequestKind) -> None:
+def test_in_a_fault_only_a_release_request_moves_anything(code: FaultCode, kind: RequestKind) -> None:
     view, _, changes = EVENTS[code]
     guard = before_in(Phase.HOLDING, **changes)
     guard = changed(guard, grasp=changed(guard.grasp, phase=Phase.FAULT, fault=Fault(code, "seen", "do")))

@@ -1,4 +1,4 @@
-"""With friction and mass given the law computes what it otherwise has to find out."""
+"""With friction and mass given, the controller computes the force that it otherwise finds by slip."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_force_is_the_worlds_with_a_reserve() -> None:
     assert limits.firm_n(params, ROBOTIQ_85) == params.modelled_n
 
 
-def test_without_them_it_is_gentle_first_and_then_a_share_of_the_budget() -> None:
+def test_without_friction_and_mass_it_is_gentle_first_and_then_a_fraction_of_the_limit() -> None:
     params = GuardParams()
     assert params.modelled_n is None
     assert limits.first_n(params) == 40.0
@@ -39,7 +39,7 @@ def test_the_first_grip_is_no_weaker_than_configured() -> None:
     assert limits.first_n(guard_params(friction=1.0, mass_kg=0.1)) == 40.0
 
 
-def test_more_than_the_budget_is_not_tightened_to() -> None:
+def test_a_modelled_force_never_exceeds_the_force_limit() -> None:
     params = guard_params(friction=0.5, mass_kg=0.9, lever_mm=100.0, force_max_n=130.0)
     assert limits.firm_n(params, (20.0, 90.0)) == pytest.approx(90.0)
 
@@ -69,6 +69,6 @@ def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
         ({"friction": 0.4, "mass_kg": 2.0, "lever_mm": 100.0}, "force_max_n"),
     ],
 )
-def test_half_a_model_or_one_beyond_the_budget_is_refused(values: dict[str, float], says: str) -> None:
+def test_half_a_model_or_one_above_the_force_limit_is_refused(values: dict[str, float], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         guard_params(**values)

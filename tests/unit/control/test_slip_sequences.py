@@ -1,4 +1,4 @@
-"""How little counts as slip: at rest in the air, lifting off, and while the arm moves."""
+"""How little counts as slip, in sequences of frames: at rest in the air, lifting off, in motion."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ class Watched:
         return self
 
 
-def test_slip_at_rest_is_told_by_two_frames_however_plain() -> None:
+def test_plain_slip_at_rest_takes_two_frames() -> None:
     watched = Watched().rest()
     watched.see(0.1)
     assert not watched.see(3.0).slipping
     assert watched.see(3.0).slipping
 
 
-def test_plain_slip_in_a_lift_off_is_told_by_one_frame_if_the_one_before_had_begun_it() -> None:
+def test_plain_slip_in_a_lift_off_takes_one_frame_if_the_one_before_had_begun_it() -> None:
     begun = Watched().rest().lifts(10.0)
     assert not begun.see(0.15).slipping
     assert begun.see(0.7).slipping
@@ -70,8 +70,8 @@ def test_plain_slip_in_a_lift_off_is_told_by_one_frame_if_the_one_before_had_beg
     assert one.see(0.7).slipping
 
 
-def test_where_it_comes_to_rest_is_where_it_turns_no_more() -> None:
-    """One leaping frame at the end of the arm's motion is no place to turn away from."""
+def test_the_resting_angle_is_taken_from_a_steady_frame() -> None:
+    """One leaping frame at the end of the arm's motion is no place to rotation away from."""
     watched = aloft(10.0)
     watched.lifts(130.0).see(10.0)
     watched.here = arm(130.0)
@@ -104,7 +104,7 @@ def test_a_little_above_the_level_takes_two_frames() -> None:
     assert not any(flickers.see(rotation).slipping for rotation in (0.4, 0.0, 0.4, 0.0, 0.4))
 
 
-def test_an_unsure_turn_needs_three_sigmas_or_half_of_that_in_a_lift_off() -> None:
+def test_an_uncertain_rotation_needs_three_sigmas_or_half_of_that_in_a_lift_off() -> None:
     for watched, least_deg in ((Watched().rest(), 1.8), (Watched().rest().lifts(10.0), 0.9)):
         assert not any(watched.see(least_deg - 0.05, sigma_deg=0.6).slipping for _ in range(5))
         watched.see(least_deg + 0.05, sigma_deg=0.6)
@@ -146,7 +146,7 @@ def test_a_drift_is_followed() -> None:
         assert not watched.see(0.05 * k * FRAME_S).slipping
 
 
-def test_an_object_wound_up_by_the_lift_is_watched_from_where_it_came_to_rest() -> None:
+def test_an_object_twisted_by_the_lift_counts_from_where_it_came_to_rest() -> None:
     watched = Watched(had_rotation=True).rest().lifts(10.0)
     watched.rate_deg_s = 20.0
     for k in range(40):
@@ -185,7 +185,7 @@ def test_after_a_tightening_a_lift_goes_on_with_more_patience() -> None:
 
 
 @pytest.mark.parametrize(("wound_deg", "swing_deg", "slips"), [(8.0, 3.5, False), (8.0, 4.5, True), (0.0, 2.5, True)])
-def test_what_the_arms_motion_may_swing_depends_on_what_is_wound_up(
+def test_the_swing_allowed_in_motion_depends_on_the_elastic_torsion(
     wound_deg: float, swing_deg: float, slips: bool
 ) -> None:
     watched = Watched(had_rotation=True)
@@ -221,7 +221,7 @@ def test_the_gel_is_given_time_to_settle_after_the_arm_has_stopped() -> None:
     assert watched.see(0.8).slipping
 
 
-def test_without_an_arm_or_a_turn_nothing_counts_as_sudden() -> None:
+def test_without_an_arm_or_a_rotation_nothing_is_sudden() -> None:
     memory = assess_slip(SlipMemory(), fused(0.0, at_s=1.0), PARAMS).memory
     assert memory.arm.case is ArmCase.MOVING
     assert memory.baselines.resting_deg == 0.0
@@ -242,7 +242,7 @@ def aloft(rotation_deg: float = 0.0) -> Watched:
 
 
 def travels(watched: Watched, to_deg: float) -> bool:
-    """The arm moves for a moment and rests; whether what it turned meanwhile counts as slip."""
+    """The arm moves for a moment and rests; whether what it rotated meanwhile counts as slip."""
     from_deg, height_mm = watched.memory.fingers.last_deg, watched.here.height_mm
     watched.here = arm(height_mm + 20.0, moving=True)
     slips = [watched.see(from_deg + (to_deg - from_deg) * k / 20).slipping for k in range(21)]
@@ -251,7 +251,7 @@ def travels(watched: Watched, to_deg: float) -> bool:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_the_motions_turn_bit_by_bit_adds_up(sign: float) -> None:
+def test_rotations_of_several_motions_add_up(sign: float) -> None:
     watched = aloft(5.0 * sign)
     assert not travels(watched, 6.0 * sign)
     assert not travels(watched, 6.9 * sign)
@@ -259,7 +259,7 @@ def test_what_the_motions_turn_bit_by_bit_adds_up(sign: float) -> None:
     assert watched.see(7.1 * sign).rotation_deg == pytest.approx(2.1)
 
 
-def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
+def test_torsion_from_leaving_the_table_does_not_add_up() -> None:
     watched = Watched(had_rotation=True).rest().lifts(10.0)
     for k in range(40):
         watched.here = arm(2.4 * k, moving=True)
@@ -269,7 +269,7 @@ def test_what_was_wound_up_when_the_object_left_its_table_does_not() -> None:
     assert not travels(watched, 7.5)
 
 
-def test_a_lift_in_pieces_is_given_the_turn_of_one() -> None:
+def test_a_lift_in_several_legs_is_allowed_the_torsion_of_one() -> None:
     watched = Watched(had_rotation=True).rest()
     assert not travels(watched, 2.0)
     assert not travels(watched, 4.0)
@@ -277,7 +277,7 @@ def test_a_lift_in_pieces_is_given_the_turn_of_one() -> None:
     assert travels(watched, 6.1)
 
 
-def test_a_turn_back_to_the_reference_between_two_rests_is_no_slip() -> None:
+def test_rotation_back_to_the_reference_between_two_rests_is_no_slip() -> None:
     watched = aloft(8.0)
     assert not travels(watched, 4.0)
     assert not travels(watched, 8.0)
@@ -293,14 +293,14 @@ def test_after_an_episode_the_next_rest_counts() -> None:
     assert travels(watched, 9.6)
 
 
-def test_a_drift_at_rest_is_no_turn_between_two_rests() -> None:
+def test_a_drift_at_rest_is_no_rotation_between_two_rests() -> None:
     watched = aloft(5.0)
     for k in range(50 * 60):
         assert not watched.see(5.0 + 0.04 * k * FRAME_S).slipping
     assert not travels(watched, 8.5)
 
 
-def test_what_is_put_down_is_lifted_anew() -> None:
+def test_after_putting_down_the_next_lift_starts_over() -> None:
     watched = aloft(5.0)
     watched.putting_down = True
     watched.here = arm(0.0, moving=True)
@@ -357,7 +357,7 @@ def test_each_kind_of_slip_raises_its_own_levels_and_only_if_the_force_was_raise
 
 
 @pytest.mark.parametrize("apart_deg", [0.4, -0.4, 1.9])
-def test_a_finger_that_drops_out_turns_nothing(apart_deg: float) -> None:
+def test_a_finger_that_drops_out_causes_no_rotation(apart_deg: float) -> None:
     for height_mm in (None, 10.0):
         watched = Watched().rest()
         if height_mm is not None:
@@ -384,19 +384,19 @@ def test_slip_is_seen_though_a_finger_comes_and_goes() -> None:
     assert any(slips)
 
 
-def test_fingers_that_begin_to_contradict_each_other_turn_nothing_by_that() -> None:
+def test_fingers_that_begin_to_contradict_each_other_cause_no_rotation() -> None:
     watched = Watched().rest(0.5, 0.2)
-    watched.conflict = "both pictures turn the same way"
+    watched.conflict = "both images rotate the same way"
     assert not any(watched.see(rotation).slipping for rotation in (0.9, 0.9, -0.8, -0.8, 0.9, 0.9))
     watched.conflict = None
     assert not any(watched.see(0.2).slipping for _ in range(5))
-    watched.conflict = "both pictures turn the same way"
+    watched.conflict = "both images rotate the same way"
     watched.rate_deg_s = 20.0
     assert any(watched.see(4.0).slipping for _ in range(2))
 
 
-def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_the_other() -> None:
-    """The left picture is taken first: left new with right old, then both new."""
+def test_a_frame_counts_once_though_the_fingers_are_measured_one_after_the_other() -> None:
+    """The left image is taken first: left new with right old, then both new."""
     watched = Watched().rest()
     for moment, rotation_deg in enumerate((0.3, 0.6, 0.3, 0.0, 0.0)):
         watched.now_s += 0.5 * FRAME_S
@@ -407,28 +407,28 @@ def test_what_one_frame_shows_counts_once_though_the_fingers_tell_it_one_after_t
         assert not sight.slipping, moment
 
 
-def test_nor_is_slow_slip_hidden_by_it_where_no_rate_is_known() -> None:
+def test_slow_slip_is_not_hidden_by_it_where_the_rate_is_unknown() -> None:
     watched = Watched().rest()
     watched.rate_deg_s, slips, rotations = None, [], [0.1 * k for k in range(1, 30)]  # type: ignore[assignment]
     for rotation_deg in rotations:
         watched.left_alone = not watched.left_alone
         slips.append(watched.see(rotation_deg).slipping)
     assert rotations[slips.index(True)] < 0.8
-    slides = Watched().rest()
+    translates = Watched().rest()
     for k in range(1, 60):
-        slides.left_alone, slides.shift_mm = not slides.left_alone, 0.05 * k
-        slips.append(slides.see(0.0).slipping)
+        translates.left_alone, translates.shift_mm = not translates.left_alone, 0.05 * k
+        slips.append(translates.see(0.0).slipping)
     assert slips[-1]
 
 
 @pytest.mark.parametrize(("slid_mm", "slips"), [(SWITCH_MAX_MM, False), (-SWITCH_MAX_MM, False), (1.2, True)])
-def test_nor_does_it_slide_anything(slid_mm: float, slips: bool) -> None:
+def test_it_causes_no_translation_either(slid_mm: float, slips: bool) -> None:
     watched = Watched().rest()
     watched.left_alone, watched.shift_mm = True, slid_mm
     assert any(watched.see(0.0).slipping for _ in range(10)) is slips
 
 
-def test_a_finger_that_comes_back_tells_no_shift_yet() -> None:
+def test_a_returning_finger_without_shift_causes_no_slip() -> None:
     watched = Watched().rest()
     watched.left_alone, watched.shift_mm = True, None  # type: ignore[assignment]
     assert not any(watched.see(0.3).slipping for _ in range(5))

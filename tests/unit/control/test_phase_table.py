@@ -1,4 +1,4 @@
-"""The law: every phase against every event."""
+"""The controller: every phase against every event."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ EVENTS: dict[str, dict[str, object]] = {
     "release": {"request": ask(RequestKind.RELEASE)},
     "clear": {"request": ask(RequestKind.CLEAR)},
     "rotation": {"fused": SLIP},
-    "slide": {"fused": SLIDE},
+    "slip down": {"fused": SLIDE},
     "rotates back": {"fused": BACK},
     "fault": {"fault": FAULT},
     "no devices": {"gripper": None, "arm": None, "fused": None},
@@ -65,7 +65,7 @@ jaws tighter   | refused      | refused       | hold              | hold        
 release        | released open| released open | released open     | released stop | released open | released stop | open          | released open
 clear          | refused      | refused       | refused           | refused       | refused       | refused       | refused       | reference reference
 rotation       | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
-slide          | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
+slip down      | -            | -             | holding           | hold stop     | hold stop     | hold stop     | -             | hold
 rotates back   | -            | -             | holding           | -             | -             | -             | -             | -
 fault          | -            | fault stop    | fault stop        | fault stop    | fault stop    | fault stop    | -             | -
 no devices     | -            | -             | -                 | -             | -             | -             | -             | stop

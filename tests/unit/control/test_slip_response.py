@@ -1,4 +1,4 @@
-"""The heart of the grasp, look by look: what one tick of guarding remembers, commands and says."""
+"""Single steps of the slip response: what it remembers, commands and reports."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from slipguard.control.slip_memory import ArmCase, SlipMemory
 from slipguard.control.slip_response import SlipResponse, respond_to_slip
 from slipguard.control.state import GraspState, GripperDelay, Phase, SlipEpisode
 
-FELT_S = 0.25
+DELAY_S = 0.25
 """200 ms until a step is felt, 50 until a rate shows it."""
-BUDGET_N = 129.6
+FORCE_LIMIT_N = 129.6
 
 
 def slipping(
     rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slip_mm: float = 0.0, since_s: float = 1.0
 ) -> SlipEpisode:
-    """Tightened so long ago, at this turn and rate."""
+    """Tightened so long ago, at this rotation and rate."""
     return SlipEpisode(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slip_mm, rotates=True, raised=True)
 
 
@@ -57,7 +57,7 @@ def test_with_nothing_seen_or_nothing_to_guard_an_arm_stopped_for_slip_stays_sto
         assert response == SlipResponse(grasp, stop_arm=slip is not None)
 
 
-def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
+def test_a_firm_grip_tolerates_more_rotation_in_the_lift_off() -> None:
     params = GuardParams()
     lifting = changed(PRIMED, frames=1, case=ArmCase.LIFT_OFF)
     firm_n = limits.firm_n(params, (20.0, 235.0))
@@ -66,7 +66,7 @@ def test_a_firm_grip_bears_more_of_a_turn_while_it_lifts_off() -> None:
         assert (respond(state(memory=lifting, target_n=target_n), observation, params).hold_n is not None) is slips
 
 
-def test_a_base_that_moves_takes_the_last_steps_turn_and_slide_along() -> None:
+def test_a_moved_baseline_moves_the_start_of_the_last_steps_progress() -> None:
     lifting = changed(PRIMED, case=ArmCase.LIFT_OFF)
     response = respond(state(slipping(5.0, slip_mm=0.2), lifting), view(6.0, shift_mm=0.4))
     assert response.state.held.memory.baselines.episode_deg == 6.0
@@ -89,7 +89,7 @@ def test_the_first_step_is_remembered_as_it_was() -> None:
     assert response.stop_arm
 
 
-def test_the_first_step_is_as_large_as_most_of_the_budget() -> None:
+def test_the_first_step_goes_to_most_of_the_force_limit() -> None:
     params = GuardParams()
     response = respond(state(), view(7.0, 60.0), params)
     assert response.hold_n == pytest.approx(limits.firm_n(params, (20.0, 235.0)), abs=0.85)
@@ -102,7 +102,7 @@ def test_near_a_person_it_is_remembered_without_a_step() -> None:
     assert response.state.grip.target_n == 40.0
 
 
-def test_a_gripper_too_strong_for_the_budget_is_not_told_anything() -> None:
+def test_a_gripper_above_the_force_limit_gets_no_command() -> None:
     response = respond(state(), view(7.0, 60.0, gripper_limits_n=(131.0, 235.0)))
     assert (response.hold_n, response.stop_arm) == (None, True)
     assert response.state.grip.target_n == 40.0
@@ -112,11 +112,11 @@ def test_a_gripper_too_strong_for_the_budget_is_not_told_anything() -> None:
 
 
 def test_until_a_step_can_be_felt_progress_does_not_count() -> None:
-    early = slipping(4.0, 60.0, 0.1, since_s=FELT_S - 0.01)
+    early = slipping(4.0, 60.0, 0.1, since_s=DELAY_S - 0.01)
     response = respond(state(early), view(9.0, 50.0, 0.3))
     assert response == SlipResponse(response.state, stop_arm=True)
     assert response.state.held.slip == changed(early, rotation_deg=9.0, rate_deg_s=50.0, slip_mm=0.3)
-    felt = respond(state(slipping(4.0, 60.0, since_s=FELT_S)), view(9.0, 60.0))
+    felt = respond(state(slipping(4.0, 60.0, since_s=DELAY_S)), view(9.0, 60.0))
     assert felt.hold_n is not None
 
 
@@ -153,14 +153,14 @@ def test_a_step_is_followed_by_another_where_the_object_creeps_on(
 
 @pytest.mark.parametrize(("slid_mm", "steps"), [(0.5, False), (0.51, True)])
 @pytest.mark.parametrize("rotation_deg", [None, 4.0])
-def test_so_where_it_slides_on_slowly(rotation_deg: float | None, slid_mm: float, steps: bool) -> None:
+def test_slow_translational_creep_is_tightened_again(rotation_deg: float | None, slid_mm: float, steps: bool) -> None:
     slow = changed(PRIMED, smooth_mm=slid_mm - 0.01, captured_s=NOW_S - 0.02)
     response = respond(state(slipping(4.0, 0.0), slow), view(rotation_deg, 0.0, slid_mm))
     assert response.stop_arm
     assert (response.hold_n is not None) is steps
 
 
-def test_what_slid_before_the_last_step_is_no_progress() -> None:
+def test_translation_before_the_last_step_is_no_progress() -> None:
     assert respond(state(slipping(4.0, slip_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
 
 
@@ -182,7 +182,7 @@ def test_half_way_to_giving_up_there_is_no_waiting(rotation_deg: float, steps: b
     assert (respond(state(slipping(4.0, 60.0)), observation).hold_n is not None) is steps
 
 
-def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again() -> None:
+def test_continuing_translation_without_rotation_is_tightened_again() -> None:
     observation = view(None, shift_mm=1.0)
     response = respond(state(slipping(0.0, 0.0)), observation)
     assert response.hold_n is not None
@@ -204,10 +204,10 @@ def test_a_slide_that_goes_on_though_the_object_does_not_turn_is_answered_again(
         (4.5, 1.1, True, False),
     ],
 )
-def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
+def test_continuing_motion_at_the_force_limit_is_a_fault(
     rotation_deg: float, shift_mm: float, moving: bool, spent: bool
 ) -> None:
-    grasp = state(slipping(4.0), target_n=BUDGET_N + 0.1)
+    grasp = state(slipping(4.0), target_n=FORCE_LIMIT_N + 0.1)
     response = respond(grasp, view(rotation_deg, 60.0, shift_mm, gripper=gripper(130.0, moving=moving, at_s=NOW_S)))
     assert response.stop_arm
     assert response.hold_n is None
@@ -228,14 +228,14 @@ def test_the_budget_is_spent_when_the_object_moves_on_under_all_of_it(
 # --- giving up ---
 
 
-def test_one_frame_beyond_is_enough_while_it_slips_and_turns() -> None:
+def test_one_frame_beyond_is_enough_while_it_slips_and_rotates() -> None:
     response = respond(state(slipping(4.0)), view(45.1, 60.0))
     assert response.fault is not None
     assert response.fault.code is FaultCode.ROTATED_TOO_FAR
     assert response.fault.observed == "rotated 45° since it was gripped and still rotating at 60°/s"
     assert response.fault.what_to_do == "support the object and release it; grip it nearer to its centre of mass"
     assert response.stop_arm
-    assert response.hold_n == response.state.grip.target_n == pytest.approx(BUDGET_N, abs=0.1)
+    assert response.hold_n == response.state.grip.target_n == pytest.approx(FORCE_LIMIT_N, abs=0.1)
     assert response.state.grip.commanded_s == NOW_S
 
 
@@ -265,7 +265,7 @@ def test_given_up_without_more_force(changes: dict[str, object]) -> None:
     assert (weak.hold_n, weak.state.grip.target_n) == (None, 40.0)
 
 
-# --- calm ---
+# --- settled ---
 
 
 def resting(for_s: float) -> SlipMemory:
@@ -273,30 +273,30 @@ def resting(for_s: float) -> SlipMemory:
 
 
 @pytest.mark.parametrize(
-    ("rested_s", "since_s", "changes", "calm"),
+    ("rested_s", "since_s", "changes", "settled"),
     [
         (0.5, 1.0, {}, True),
         (0.25, 1.0, {}, False),
-        (0.5, FELT_S, {}, True),
-        (0.5, FELT_S - 0.01, {}, False),
+        (0.5, DELAY_S, {}, True),
+        (0.5, DELAY_S - 0.01, {}, False),
         (0.5, 1.0, {"gripper": None}, False),
         (0.5, 1.0, {"gripper": gripper(40.0, moving=True, at_s=NOW_S)}, False),
     ],
 )
-def test_calm_is_rest_with_the_last_step_done_and_seen(
-    rested_s: float, since_s: float, changes: dict[str, object], calm: bool
+def test_settled_means_at_rest_with_the_last_step_done_and_seen(
+    rested_s: float, since_s: float, changes: dict[str, object], settled: bool
 ) -> None:
     response = respond(state(slipping(4.0, since_s=since_s), resting(rested_s)), view(4.5, **changes))
-    assert (response.state.held.slip is None) is calm
-    assert (str(response.message) == "settled at 40 N") is calm
-    assert response.stop_arm is not calm
-    if calm:
+    assert (response.state.held.slip is None) is settled
+    assert (str(response.message) == "settled at 40 N") is settled
+    assert response.stop_arm is not settled
+    if settled:
         assert (response.state.held.memory.rotations, response.state.held.memory.translations) == (1, 0)
         assert response.state.held.memory.baselines.episode_deg is None
         assert response.state.held.memory.baselines.episode_mm is None
 
 
-def test_calm_needs_the_time_set_for_it() -> None:
-    for calm_s, calm in ((0.5, True), (0.51, False)):
+def test_settling_takes_the_configured_time() -> None:
+    for calm_s, settled in ((0.5, True), (0.51, False)):
         params = PARAMS.model_copy(update={"tuning": PARAMS.tuning.model_copy(update={"settle_s": calm_s})})
-        assert (respond(state(slipping(4.0), resting(0.5)), view(4.5), params).state.held.slip is None) is calm
+        assert (respond(state(slipping(4.0), resting(0.5)), view(4.5), params).state.held.slip is None) is settled
