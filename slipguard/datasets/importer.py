@@ -80,8 +80,8 @@ def found_pairs(source: Path) -> tuple[list[ImagePair], list[str]]:
     ]
     if not pairs:
         raise InputError(
-            f"{source}: {len(images)} images and {len(masks)} masks, but no pair; supported are images/ and masks/ with "
-            "the same file names, or NAME.png with NAME_mask.png"
+            f"{source}: {len(images)} images and {len(masks)} masks, but no pair; supported are images/ and masks/ "
+            "with the same file names, or NAME.png with NAME_mask.png"
         )
     unpaired = [f"{_named(source, images[key])}: no mask" for key in sorted(images.keys() - masks.keys())]
     unpaired += [f"{_named(source, masks[key])}: no image" for key in sorted(masks.keys() - images.keys())]

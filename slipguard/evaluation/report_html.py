@@ -68,7 +68,8 @@ def _lead(report: dict[str, Any], protocol: LiftProtocol | None) -> str:
     guard = "guard on" if protocol is not None and protocol.guard else "guard off: rotation is measured, not stopped"
     objects = len(report["per_object"])
     where = "a simulated cell" if report["simulated"] else "a real cell"
-    lead = f"{report['lifts']} lifts of {objects} object{'s' if objects != 1 else ''} on {where}, {guard}. slipguard {__version__}."
+    of = f"{objects} object{'s' if objects != 1 else ''}"
+    lead = f"{report['lifts']} lifts of {of} on {where}, {guard}. slipguard {__version__}."
     return f"<p class='lead'>{lead}</p>"
 
 

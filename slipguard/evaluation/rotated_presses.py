@@ -1,9 +1,9 @@
 """Rotations of known size on real pixels, and how well the pipeline estimates them.
 
 Semi-synthetic, because no public DIGIT recording has a measured rotation: a real press is cut out of its frame,
-rotated, and placed on the background image. `relit` reads the colors as the gel's slope under lights at 30, 150 and 270 degrees,
-rotates the slopes with the object and keeps the lights; `rigid` rotates the colors themselves, which no sensor does: it
-makes matching exact by construction and flatters registration.
+rotated, and placed on the background image. `relit` reads the colors as the gel's slope under lights at 30, 150 and 270
+degrees, rotates the slopes with the object and keeps the lights; `rigid` rotates the colors themselves, which no sensor
+does: it makes matching exact by construction and flatters registration.
 """
 
 from __future__ import annotations

@@ -51,8 +51,8 @@ class GelCamera:
         shape = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
         if self._background.shape != shape or self._background.dtype != np.uint8:
             raise InputError(
-                f"background image of shape {self._background.shape}, {self._background.dtype}; it must be {shape}, uint8 "
-                "(240 wide, 320 high, BGR)"
+                f"background image of shape {self._background.shape}, {self._background.dtype}; it must be {shape}, "
+                "uint8 (240 wide, 320 high, BGR)"
             )
         self._imprinter = Imprinter(unit, self._background)
         self._noise = CameraNoise(unit.noise_bgr, unit.stripe_bgr, seed)

@@ -3,7 +3,8 @@
 A command passes the serial line and the motor's dead time, then width or force change at a finite rate. Writing the
 force register while the fingers rest on an object has no effect, so tightening takes two transactions (stop, go). The
 screw is self-locking: the force only rises until the fingers open, and stays without commands.
-Figures: 16 ms per transaction, 20-60 ms dead time, 64-480 N/s, 20 N + 0.843 N per count, 20-150 mm/s, 0.37 mm per count.
+Figures: 16 ms per transaction, 20-60 ms dead time, 64-480 N/s, 20 N + 0.843 N per count, 20-150 mm/s, 0.37 mm per
+count.
 """
 
 from __future__ import annotations

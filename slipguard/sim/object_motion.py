@@ -4,9 +4,9 @@
                m s'' = m (g + a)              - force of the fingers and of the table
 
 theta is 0 with the lever level and grows as the center of mass sinks; s grows downwards in the fingers' frame. The
-inertial coupling (m b theta'' on s) is neglected: this is exact for the rotation while s sticks, and an object that slips
-freely is dropped anyway. Each step is implicit in the friction: it is stable, and a sticking contact does not creep, for
-any step size.
+inertial coupling (m b theta'' on s) is neglected: this is exact for the rotation while s sticks, and an object that
+slips freely is dropped anyway. Each step is implicit in the friction: for any step size it is stable, and a sticking
+contact does not creep.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class GraspedBody:
 class ObjectMotion:
     """Position and motion of the object in the fingers; all 0 when it is grasped.
 
-    rotation_rad is slip + twist_rad, and slip_m is slip + shear_m; twist and shear are the reversible deformation of the
-    gel.
+    rotation_rad is slip + twist_rad, and slip_m is slip + shear_m; twist and shear are the gel's
+    reversible deformation.
     """
 
     rotation_rad: float = 0.0
