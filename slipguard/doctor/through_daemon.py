@@ -81,7 +81,7 @@ def check_actuator(name: str, samples: DaemonSamples) -> Iterator[CheckResult]:
     yield check_health(name, name, samples, "in use by the daemon")
     state, trips = samples.after.get(name), samples.after.get("round_trips", {}).get(name)
     if name == "gripper" and trips is not None:
-        observed = f"p50 {trips['p50_ms']:.1f} ms, p99 {trips['p99_ms']:.1f} ms of {trips['answered']}"
+        observed = f"p50 {trips['p50_ms']:.1f} ms, p99 {trips['p99_ms']:.1f} ms of {trips['count']}"
         slow = trips["p50_ms"] > gripper.SLOW_MS
         yield note("round trip", observed, gripper.SLOW_ACTION) if slow else ok("round trip", observed)
     if state is None:
