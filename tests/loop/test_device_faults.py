@@ -86,7 +86,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
             height_mm = cell.truth.height_mm
             await asyncio.sleep(0.2)
             assert cell.truth.height_mm == height_mm
-        with pytest.raises(CommandRefused, match=r"still there|not there|stop"):
+        with pytest.raises(CommandRefused, match=r"cause persists|not connected|stop"):
             await cell.submit(ClearRequest())
         for device in devices:
             cell.world.faults.repair(device, kind)

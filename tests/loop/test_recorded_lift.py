@@ -106,7 +106,7 @@ def test_an_independent_reader_finds_every_turn_of_the_loop(lift: Path) -> None:
             told = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.TICK_TOPIC])]
             summary = reader.get_summary()
         assert [one["now_s"] for one in told] == [tick.now_s for tick in ticks(path)]
-        tightened += sum(one["command"]["hold_force_n"] is not None for one in told)
+        tightened += sum((one["output"]["gripper"] or {}).get("kind") == "hold" for one in told)
         assert summary is not None
         assert {channel.topic for channel in summary.channels.values()} >= {m.TICK_TOPIC, *m.JUDGED_TOPIC.values()}
     assert tightened
