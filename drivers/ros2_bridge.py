@@ -5,7 +5,7 @@ It is a client of the local API and needs rclpy and the standard library only, s
     python3 ros2_bridge.py --ros-args -p socket:=/run/slipguard/slipguard.sock
     ros2 service call /slipguard/guard std_srvs/srv/SetBool "{data: true}"
 
-The socket accepts root and the daemon's user. Whoever may use the node's services may open the jaws.
+The socket accepts root and the daemon's user. Anyone who can use the node's services can open the jaws.
 """
 
 import http.client

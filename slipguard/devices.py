@@ -27,7 +27,7 @@ FRAME_HEIGHT_PX = 320
 
 @dataclass(frozen=True, slots=True)
 class DriverContext:
-    """What every driver is built with, besides its settings."""
+    """What every driver is built with, in addition to its settings."""
 
     name: str
     """`left`, `right`, `gripper` or `arm`: the device's name in messages."""

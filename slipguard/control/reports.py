@@ -8,7 +8,7 @@ from enum import Enum, StrEnum
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One line for log and page. name: its identifier, the same whatever the figures are."""
+    """One line for log and page. name: its identifier, which does not depend on the figures."""
 
     name: str
     text: str

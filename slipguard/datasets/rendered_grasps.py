@@ -1,7 +1,7 @@
 """Rendered grasps of known rotation: no contact, closing, still, rotating to and fro while force and position change.
 
-Faster than the whole simulated cell and identical for every pipeline: the data of `slipguard bench`. Besides the test
-objects there are two plain round ones, whose rotation is not observable.
+Faster than the whole simulated cell and identical for every pipeline: the data of `slipguard bench`. It has
+the test objects and two plain round ones, whose rotation is not observable.
 """
 
 from __future__ import annotations

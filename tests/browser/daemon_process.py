@@ -1,7 +1,7 @@
 """A daemon with simulated devices for the page's tests, in a process of its own: `python daemon_process.py CONFIG`.
 
 Words on stdin: `fail DEVICE KIND`, `mend`, `fresh` (another object between the open jaws), `again` (the daemon
-stops and starts anew on the same world). Each is answered with one line on stdout as soon as it is done, the last one
+restarts on the same world). Each is answered with one line on stdout as soon as it is done, the last one
 when the new daemon runs.
 """
 

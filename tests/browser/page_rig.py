@@ -122,7 +122,7 @@ class DaemonProcess:
         self.until(lambda state: not state["waiting_for"])
 
     def held(self, again: bool = True) -> None:
-        """The object gripped, with both fingers' no-contact images known; anew: just now, on the table."""
+        """Grip the object, with both fingers' background images known; again: even if it is gripped already."""
         if not again:
             state = self.well()
             if state["phase"] == "holding" and state["guarding"]:

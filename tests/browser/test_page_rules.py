@@ -60,14 +60,16 @@ def cases() -> list[tuple[GraspState, Observation, GuardParams]]:
     return made
 
 
-def told(state: GraspState, observation: Observation, params: GuardParams) -> dict[str, Any]:
+def page_state(state: GraspState, observation: Observation, params: GuardParams) -> dict[str, Any]:
     """Return the state that the page receives."""
     devices = {"left": object(), "right": object(), "gripper": observation.gripper, "arm": observation.arm}
     gone = [name for name, one in devices.items() if one is None]
     return {
-        "phase": state.phase.value, "mode": params.mode, "guarding": state.guarding, "slipping": state.held.slip is not None,
-        "putting_down": state.arm.putting_down, "waiting_for": [f"{name}: gone" for name in gone],
-        "gripper": observation.gripper and {name: getattr(observation.gripper, name) for name in GripperState.__slots__},
+        "phase": state.phase.value, "mode": params.mode, "guarding": state.guarding,
+        "slipping": state.held.slip is not None, "putting_down": state.arm.putting_down,
+        "waiting_for": [f"{name}: gone" for name in gone],
+        "gripper": observation.gripper
+        and {name: getattr(observation.gripper, name) for name in GripperState.__slots__},
         "arm": observation.arm and {name: getattr(observation.arm, name) for name in ArmState.__slots__},
     }  # fmt: skip
 
@@ -83,12 +85,15 @@ async def test_the_page_allows_every_command_that_the_controller_grants(running:
     page = await open_page(control=False)
     every = cases()
     spared = 0
-    for case, (guards, forbidden) in zip(every, await page.evaluate(ASK, [told(*case) for case in every]), strict=True):
+    for case, (guards, forbidden) in zip(
+        every, await page.evaluate(ASK, [page_state(*case) for case in every]), strict=True
+    ):
         kinds = {**KINDS, "guard": RequestKind.GUARD_OFF if guards else RequestKind.GUARD_ON}
         assert forbidden["release"] is None, "letting go is possible in every state"
         for name, kind in kinds.items():
             grants = granted(*case, kind)
-            ready = name != "grasp" or not told(*case)["waiting_for"]  # the daemon refuses that before the law
+            # The daemon refuses to grasp before the controller does.
+            ready = name != "grasp" or not page_state(*case)["waiting_for"]
             assert not (grants and ready and forbidden[name]), f"{name} is forbidden ({forbidden[name]}): {case}"
             spared += not grants and forbidden[name] is not None
     assert spared > len(every), "most refusals are foreseen"

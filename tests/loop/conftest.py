@@ -1,4 +1,4 @@
-"""The loop's suites say nothing on the terminal: what the service tells is looked at, not printed."""
+"""Keep the service's log off the terminal: the loop tests check it instead."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole cell on the virtual clock: the real service, law, fakes and world; the pictures alone are stood in for.
+"""A whole cell on the virtual clock: the real service, controller, fakes and world; only the images are replaced.
 
 So a lift of eight seconds takes a fraction of one.
 """
@@ -54,7 +54,7 @@ class Cell:
     phases: list[Phase] = field(default_factory=list)
     ticks: int = 0
     loosened: str | None = None
-    """The first moment at which the grip got weaker or wider though nobody had asked to release."""
+    """The first moment at which the grip got weaker or wider without a release request."""
     tightest_n: float = 0.0
     narrowest_mm: float = 1e9
 
@@ -114,7 +114,7 @@ class Cell:
 
     def _watch_grip(self) -> None:
         truth, width_mm = self.truth, self.width_mm
-        if truth.dropped is not None or any(what == "release" for _, what, _ in self.gripper.told):
+        if truth.dropped is not None or any(what == "release" for _, what, _ in self.gripper.commands):
             return
         if truth.force_n < self.tightest_n - 0.01 or (truth.in_contact and width_mm > self.narrowest_mm + 0.01):
             self.loosened = self.loosened or f"{truth.force_n:.1f} N, {width_mm:.1f} mm at {self.now_s:.3f}: {truth}"

@@ -1,5 +1,5 @@
-"""Stand-ins for a cell on the virtual clock: pictures that cost nothing, a perceiver that knows the truth, devices
-that note what they are told, a store and a worker without disk and threads.
+"""Stand-ins for a cell on the virtual clock: images that cost nothing, a perceiver that knows the truth, devices
+that log their commands, a store and a worker without disk and threads.
 
 The sensor delivers on the fake's own schedule, with its latency, losses, repetitions and faults, but paints one flat
 colour: a number under which the truth at the moment of exposure is kept. The perceiver looks the truth up and adds
@@ -61,7 +61,7 @@ class Pictures:
         return self.shown[int.from_bytes(image[0, 0].tobytes(), "little")]
 
     def stop(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: no resource is held."""
 
 
 class FlatSensor(FakeSensor):
@@ -133,11 +133,11 @@ class Oracle:
 
 
 class LoggedGripper(FakeGripper):
-    """The fake gripper, and what it was told and when. A `failure` is raised by the next commands instead."""
+    """The fake gripper with a log of its commands. The next commands raise `failures` instead, one each."""
 
     def __init__(self, context: DriverContext) -> None:
         super().__init__(FakeGripper.Settings(), context)
-        self.told: list[tuple[float, str, float]] = []
+        self.commands: list[tuple[float, str, float]] = []
         self.failures: list[Exception] = []
 
     async def hold(self, force_n: float) -> float:
@@ -157,24 +157,24 @@ class LoggedGripper(FakeGripper):
         await super().release(width_mm)
 
     def _note(self, what: str, value: float) -> None:
-        self.told.append((asyncio.get_running_loop().time(), what, value))
+        self.commands.append((asyncio.get_running_loop().time(), what, value))
         if self.failures:
             raise self.failures.pop(0)
 
 
 class LoggedArm(FakeArm):
-    """The fake arm, and what it was told and when."""
+    """The fake arm with a log of its commands."""
 
     def __init__(self, context: DriverContext) -> None:
         super().__init__(FakeArm.Settings(), context)
-        self.told: list[tuple[float, str, float]] = []
+        self.commands: list[tuple[float, str, float]] = []
 
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
-        self.told.append((asyncio.get_running_loop().time(), "lift", height_mm))
+        self.commands.append((asyncio.get_running_loop().time(), "lift", height_mm))
         return await super().lift(height_mm, speed_mm_s)
 
     async def stop(self) -> None:
-        self.told.append((asyncio.get_running_loop().time(), "stop", 0.0))
+        self.commands.append((asyncio.get_running_loop().time(), "stop", 0.0))
         await super().stop()
 
 

@@ -1,4 +1,4 @@
-"""The task that owns a gripper or an arm: waits for a missing one, newest command wins, trouble is told."""
+"""The task that owns a gripper or an arm: waits for a missing one, newest command wins, failures are reported."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
 
 
 class Motor:
-    """A device that counts, and fails when told."""
+    """A device that counts, and fails on demand."""
 
     def __init__(self) -> None:
         self.opened = self.closed = self.asked = 0
@@ -181,7 +181,7 @@ def test_a_stop_reaches_a_device_that_does_not_open_and_nothing_else_does() -> N
             actuator.command(motor.stop)
             await asyncio.sleep(0.01)
         assert motor.done == ["stop"] * 3, "at once, in the middle of the wait"
-        assert events == ["motor: unplugged; plug it in"], "the same is said once"
+        assert events == ["motor: unplugged; plug it in"], "the same message is logged once"
         motor.failure = None
         await asyncio.sleep(1.0)
         assert actuator.health.ready

@@ -1,4 +1,4 @@
-"""Older no-contact images: told, shown and put to use again, and when that is refused."""
+"""Older background images: listed, shown and restored, and when that is refused."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDi
     play(Cell(), main)
 
 
-def test_all_that_is_stored_is_told(tmp_path: Path) -> None:
+def test_all_that_is_stored_is_listed(tmp_path: Path) -> None:
     async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
-        told = json.loads(await handlers.backgrounds())
-        assert {name: one["serial"] for name, one in told.items()} == {"left": "SIM-L", "right": "SIM-R"}
-        assert [one["number"] for one in told["left"]["versions"]] == [1, 2]
-        assert told["left"]["versions"][1]["level_bgr"] == [60.0, 60.0, 60.0]
+        listed = json.loads(await handlers.backgrounds())
+        assert {name: one["serial"] for name, one in listed.items()} == {"left": "SIM-L", "right": "SIM-R"}
+        assert [one["number"] for one in listed["left"]["versions"]] == [1, 2]
+        assert listed["left"]["versions"][1]["level_bgr"] == [60.0, 60.0, 60.0]
         newest, first = await handlers.background("left"), await handlers.background("left", 1)
         assert (newest.serial, newest.frame.sequence, int(newest.frame.image[0, 0, 0])) == ("SIM-L", 2, 60)
         assert (first.frame.sequence, int(first.frame.image[0, 0, 0])) == (1, 50)
@@ -109,7 +109,7 @@ def test_a_sensor_that_was_not_opened_has_no_versions() -> None:
 
 
 async def test_what_is_stored_is_read_in_a_thread_of_its_own(tmp_path: Path) -> None:
-    """Whoever looks must not keep the threads waiting that decode frames and speak to the gripper."""
+    """A client that reads images must not delay the threads that decode frames and command the gripper."""
     threads: set[str] = set()
 
     class Noting(StateDir):

@@ -211,11 +211,11 @@ def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("room", "stored", "told"),
+    ("room", "stored", "reason"),
     [(0, {}, "of left .*; nothing was stored"), (1, {"left": 1}, "of right .*; the new image of left is in use")],
 )
-def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
-    room: int, stored: dict[str, int], told: str
+def test_a_full_disk_is_reported_with_the_stored_images_which_stay_in_use(
+    room: int, stored: dict[str, int], reason: str
 ) -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
@@ -229,7 +229,7 @@ def test_a_full_disk_is_told_with_what_is_stored_and_that_is_what_is_used(
 
         before, made = dict(cell.store.kept), {name: len(one) for name, one in cell.perceivers.items()}
         cell.store.save_background = save  # type: ignore[method-assign]
-        with pytest.raises(CommandRefused, match=told):
+        with pytest.raises(CommandRefused, match=reason):
             await cell.submit(CalibrateRequest())
         await asyncio.sleep(0.5)
         used = {name: len(one) - made[name] for name, one in cell.perceivers.items() if len(one) > made[name]}

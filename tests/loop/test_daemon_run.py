@@ -18,7 +18,7 @@ from slipguard.sim.world import World, WorldSettings
 def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
     frozen: list[int] = []
 
-    async def beside(service: Any) -> None:
+    async def extra_task_body(service: Any) -> None:
         rotated = asyncio.Event()
         service.observers.append(lambda decision: rotated.set())
         await rotated.wait()
@@ -26,15 +26,15 @@ def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
         await asyncio.Event().wait()
 
-    told = {"state": {"directory": str(tmp_path)}}
+    given = {"state": {"directory": str(tmp_path)}}
 
     async def main() -> None:
         async with asyncio.timeout(30.0):
             await root.run(
-                parse_config(told, where="test", sim=True),
+                parse_config(given, where="test", sim=True),
                 bind_api,
                 world=World(WorldSettings(), seed=0),
-                extra_task=beside,
+                extra_task=extra_task_body,
             )
 
     asyncio.run(main())

@@ -1,7 +1,7 @@
 """Every fault of every device while an object is being gripped, lifted and held.
 
-Whatever fails: the jaws do not open, the force does not fall (the cell watches both at every tick), the arm is told to
-stop, the fault has a name within half a second, `clear` works once it is mended, and `release` works at any time.
+On every fault the jaws do not open, the force does not fall (the cell watches both at every tick), the arm gets a stop
+command, the fault has a name within half a second, `clear` works once it is mended, and `release` works at any time.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         assert seen in fault.observed
         assert str(fault) in "\n".join(cell.service.event_log.lines)
         await asyncio.sleep(0.7)
-        told = [what for told_s, what, _ in cell.arm.told if told_s > failed_at_s]
-        assert told[:1] == ["stop"] or (devices, kind) == (("arm",), "disconnect")  # nobody is there to be told
-        assert "lift" not in told
+        sent = [what for sent_s, what, _ in cell.arm.commands if sent_s > failed_at_s]
+        assert sent[:1] == ["stop"] or (devices, kind) == (("arm",), "disconnect")  # no arm is connected
+        assert "lift" not in sent
         await asyncio.sleep(0.3)
         if devices == ("arm",) and kind in STANDS:
             assert cell.service.state.grip.target_n == force_n
@@ -102,7 +102,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         assert cell.truth.in_contact
         assert cell.truth.dropped is None
         assert cell.truth.applied_n >= force_n - 0.5
-        assert not any(what == "release" for _, what, _ in cell.gripper.told)
+        assert not any(what == "release" for _, what, _ in cell.gripper.commands)
 
     play(Cell("wrench", 1, guard=BRISK), scene)
 
@@ -160,10 +160,10 @@ def swing(cell: Cell) -> None:
 def test_an_object_seen_to_turn_is_gripped_tighter() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        told = len(cell.gripper.told)
+        count = len(cell.gripper.commands)
         swing(cell)
         await asyncio.sleep(0.8)
-        assert len(cell.gripper.told) > told
+        assert len(cell.gripper.commands) > count
 
     play(Cell("wrench", 1), scene)
 
@@ -173,7 +173,7 @@ def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(kind: str) -> N
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
-        told = len(cell.gripper.told)
+        count = len(cell.gripper.commands)
         cell.world.faults.fail("arm", kind)
         await asyncio.sleep(0.05)
         swing(cell)
@@ -181,7 +181,7 @@ def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(kind: str) -> N
         with pytest.raises(CommandRefused, match="protective or emergency stop"):
             await cell.submit(MoveJawsRequest(force_n=120.0))
         await asyncio.sleep(2.0)
-        assert cell.gripper.told[told:] == []
+        assert cell.gripper.commands[count:] == []
 
     play(Cell("wrench", 1), scene)
 
@@ -245,7 +245,7 @@ def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
 
 
 def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> None:
-    """An arm counts from where it was found: after a lost connection nobody knows how far down the table is."""
+    """An arm counts from where it was found: after a lost connection the distance to the table is unknown."""
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
@@ -258,7 +258,7 @@ def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> No
         await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
         await cell.until(lambda: not cell.service.waiting_for)
         await asyncio.sleep(1.0)
-        lifts = [told for told in cell.arm.told if told[1] == "lift"]
+        lifts = [command for command in cell.arm.commands if command[1] == "lift"]
         assert len(lifts) == 1
         await cell.submit(ClearRequest())
         await cell.until(cell.steady)

@@ -128,7 +128,7 @@ def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration(
     play(scene)
 
 
-def test_a_touch_and_what_lasts_less_than_three_minutes_alarm_nobody() -> None:
+def test_a_touch_and_changes_shorter_than_three_minutes_raise_no_alert() -> None:
     async def scene(bench: Bench) -> None:
         await bench.show(gel(), 60.0)
         for _ in range(5):
@@ -155,7 +155,7 @@ def test_nothing_is_compared_while_an_object_may_be_held() -> None:
 
 
 @pytest.mark.parametrize("new_gel", [False, True])
-def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_begins_anew(
+def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_starts_fresh(
     tmp_path: Path, new_gel: bool
 ) -> None:
     store = StateDir(tmp_path)
@@ -187,7 +187,7 @@ def test_contact_without_end_is_said_where_the_jaws_are_open() -> None:
 
 
 def test_a_failing_comparison_does_not_end_the_monitor(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*told: object) -> None:
+    def broken(*arguments: object) -> None:
         raise ZeroDivisionError("a mistake")
 
     monkeypatch.setattr(gel_monitor, "compare_gel", broken)

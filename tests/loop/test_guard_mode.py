@@ -40,7 +40,7 @@ def test_guarding_starts_by_itself_when_something_is_held() -> None:
 
     cell = play(Cell("wrench", 1, guard=GUARD), scene)
     assert any(said.startswith("slip: ") for said in cell.says)
-    assert all(what == "stop" for _, what, _ in cell.arm.told)  # paused, never taken over
+    assert all(what == "stop" for _, what, _ in cell.arm.commands)  # paused, never taken over
 
 
 def test_guard_on_guards_what_is_held_after_guard_off() -> None:

@@ -1,4 +1,4 @@
-"""What the API is told of a running service: state, tallies, views, events; and the metrics made of them."""
+"""The API's view of a running service: state, counters, frames and events, and the metrics made of them."""
 
 from __future__ import annotations
 
@@ -31,40 +31,40 @@ def samples(text: bytes) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
 
 def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
-    told: dict[str, Any] = {}
-    heard: list[Event] = []
+    reported: dict[str, Any] = {}
+    received: list[Event] = []
 
     async def scene(cell: Cell) -> None:
         handlers = RequestHandlers(cell.service)
         with pytest.raises(CommandRefused):
             await handlers.processed_frame("left")
         await cell.grasp()
-        told["state"], told["tallies"] = await handlers.state(), await handlers.counters()
-        told["view"] = await handlers.processed_frame("left")
+        reported["state"], reported["tallies"] = await handlers.state(), await handlers.counters()
+        reported["view"] = await handlers.processed_frame("left")
         assert cell.world is not None
-        unsubscribe = handlers.subscribe(heard.append)
-        before = len(heard)
+        unsubscribe = handlers.subscribe(received.append)
+        before = len(received)
         assert before > 0, "what was said before"
         cell.world.faults.fail("left", "stall")
         cell.world.faults.fail("right", "stall")
         await cell.until(lambda: cell.phase is Phase.FAULT)
         unsubscribe()
         await handlers.submit(ReleaseRequest(confirm=True))
-        told["after"] = heard[before:]
-        told["faulty"] = prometheus_text(await handlers.state(), await handlers.counters())
+        reported["after"] = received[before:]
+        reported["faulty"] = prometheus_text(await handlers.state(), await handlers.counters())
 
     play(Cell("wrench", 1), scene)
-    StateResponse.model_validate_json(told["state"])
-    view: FingerFrame = told["view"]
+    StateResponse.model_validate_json(reported["state"])
+    view: FingerFrame = reported["view"]
     assert view.serial == "SIM-L"
     assert view.frame.image.shape == (320, 240, 3)
-    (fault,) = [event for event in told["after"] if event.level == "fault"]
+    (fault,) = [event for event in reported["after"] if event.level == "fault"]
     assert fault.code == "frames lost"
     assert fault.what_to_do
-    assert not any("releas" in event.text for event in told["after"]), "nothing is heard after that"
+    assert not any("releas" in event.text for event in reported["after"]), "no event arrives after that"
 
-    found = samples(prometheus_text(told["state"], told["tallies"]))
-    state = json.loads(told["state"])
+    found = samples(prometheus_text(reported["state"], reported["tallies"]))
+    state = json.loads(reported["state"])
     assert found["slipguard_force_newtons", ()] == pytest.approx(state["gripper"]["force_n"])
     assert found["slipguard_target_force_newtons", ()] == pytest.approx(state["target_force_n"])
     assert found["slipguard_phase", (("phase", "holding"),)] == 1.0
@@ -81,15 +81,15 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     assert slow == pytest.approx(0.006, rel=0.3), "the stated latency"
     assert found["slipguard_fault", ()] == 0.0
 
-    faulty = samples(told["faulty"])
+    faulty = samples(reported["faulty"])
     assert faulty["slipguard_faults_total", (("code", "frames lost"),)] == 1.0
     assert faulty["slipguard_device_ready", (("device", "left"),)] == 0.0
     assert faulty["slipguard_frames_lost_total", (("finger", "left"), ("reason", "stalled"))] >= 1.0
-    assert ("slipguard_rotation_degrees", ()) not in faulty, "what nobody knows is no number"
+    assert ("slipguard_rotation_degrees", ()) not in faulty, "an unknown value is no number"
 
 
 def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
-    told: list[dict[str, Any]] = []
+    recordings: list[dict[str, Any]] = []
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
@@ -97,11 +97,11 @@ def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
         for dead in (False, True):
             recorder = SimpleNamespace(stopped=None, dead=dead, left_out=3)
             handlers.track_recorder(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]
-            told.append(json.loads(await handlers.state())["recording"])
+            recordings.append(json.loads(await handlers.state())["recording"])
 
     cell = Cell("wrench", 1)
     assert cell.service.config.recording.enabled
     play(cell, scene)
-    assert told[0] == {"state": "on", "why": None, "left_out": 3}
-    assert told[1]["state"] == "stopped"
-    assert "the recorder thread has ended" in told[1]["why"]
+    assert recordings[0] == {"state": "on", "why": None, "left_out": 3}
+    assert recordings[1]["state"] == "stopped"
+    assert "the recorder thread has ended" in recordings[1]["why"]

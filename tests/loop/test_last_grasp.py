@@ -172,7 +172,7 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         await asyncio.sleep(0.1)
         grasp = restore_control_state(shelf).grasp
         assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
-        assert grasp.adoption.remembered == grip, "as it was when the gripper was last heard"
+        assert grasp.adoption.remembered == grip, "as of the gripper's last response"
         old = restore_control_state(shelf, datetime.now(UTC) + timedelta(days=3)).grasp
         assert (old.phase, old.fault, old.adoption.remembered) == (Phase.FAULT, grasp.fault, None)
         cell.world.faults.repair("gripper")
@@ -253,8 +253,8 @@ def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
     )
 
 
-def test_a_stop_for_a_person_is_remembered_until_the_arm_is_heard(tmp_path: Path) -> None:
-    """So that a daemon that starts with somebody in the jaws adds no force before it knows that they are gone."""
+def test_a_stop_for_a_person_is_remembered_until_the_arm_responds(tmp_path: Path) -> None:
+    """A daemon that starts with a person in the jaws adds no force until it knows that they are gone."""
     shelf = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:

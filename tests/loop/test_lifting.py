@@ -1,4 +1,4 @@
-"""Lift mode from grasp to release, on the real world, law and fakes."""
+"""Lift mode from grasp to release, with the real world, controller and fakes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
         Phase.IDLE, Phase.CLOSING, Phase.REFERENCE, Phase.HOLDING, Phase.LIFTING,
         Phase.HOLDING, Phase.LOWERING, Phase.HOLDING, Phase.RELEASED, Phase.IDLE,
     ]  # fmt: skip
-    assert [what for _, what, _ in cell.gripper.told].count("release") == 1
+    assert [what for _, what, _ in cell.gripper.commands].count("release") == 1
     assert cell.service.deadlines_missed == 0
 
 
@@ -60,7 +60,7 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
 def test_without_the_guard_it_turns_far(object_name: str) -> None:
     cell, rotations = carried(object_name, 1, controller=unguarded_step, height_mm=120.0)
     assert max(rotations) > 25.0
-    assert [force_n for _, what, force_n in cell.gripper.told if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
+    assert [force_n for _, what, force_n in cell.gripper.commands if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
 
 
 BLIND = {"left": "round contact", "right": "round contact"}
@@ -106,7 +106,7 @@ def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> No
         with pytest.raises(CommandRefused, match=r"no rotation estimate \(left finger: round contact"):
             await cell.submit(LiftRequest())
         assert cell.truth.applied_n < 45.0
-        assert not [told for told in cell.arm.told if told[1] == "lift"]
+        assert not [command for command in cell.arm.commands if command[1] == "lift"]
         await cell.release()
 
     play(Cell("ball", 1, guard=BRISK | {"on_no_estimate": "refuse"}, blind=BLIND), scene)

@@ -27,12 +27,12 @@ def test_minutes_of_holding_neither_tighten_nor_grow(minutes: int) -> None:
         await cell.lift()
         await cell.until(cell.steady)
         await asyncio.sleep(5.0 + 0.1 * ROUND_TRIPS)  # until the newest round trips are all there
-        told, size, said = len(cell.gripper.told), weight(cell), len(cell.service.event_log.lines)
+        count, size, said = len(cell.gripper.commands), weight(cell), len(cell.service.event_log.lines)
         ended_s = cell.now_s + 60.0 * minutes
         while cell.now_s < ended_s:
             await asyncio.sleep(30.0)
             assert weight(cell) <= size + 2000
-        assert len(cell.gripper.told) == told
+        assert len(cell.gripper.commands) == count
         assert cell.phase is Phase.HOLDING
         assert cell.service.deadlines_missed == 0
         assert len(cell.service.event_log.lines) == said
@@ -43,7 +43,7 @@ def test_minutes_of_holding_neither_tighten_nor_grow(minutes: int) -> None:
 
 
 def weight(cell: Cell) -> int:
-    """Bytes of what the service holds on to, roughly: every object reached from it, arrays and modules aside."""
+    """Bytes of what the service holds on to, roughly: every object reached from it, except arrays and modules."""
     seen: set[int] = set()
     todo: list[object] = [
         cell.service._memory,
@@ -158,11 +158,11 @@ def test_a_bug_in_perception_ends_the_service_with_an_error() -> None:
     with pytest.raises(BaseExceptionGroup) as caught:
         play(cell, scene)
     assert caught.value.subgroup(ZeroDivisionError) is not None
-    assert [what for _, what, _ in cell.gripper.told] == ["hold"]
+    assert [what for _, what, _ in cell.gripper.commands] == ["hold"]
 
 
 async def test_on_the_real_clock_with_threads_it_grips_and_ends_its_threads() -> None:
-    others = set(threading.enumerate())  # an earlier test's may not have noticed yet that nobody needs them
+    others = set(threading.enumerate())  # threads of an earlier test may not have ended yet
     cell = Cell(
         "key",
         1,

@@ -30,7 +30,7 @@ def test_jaws_on_their_way_stand_and_close_only_when_asked_again(stop: str, lost
         assert cell.truth.force_n == 0.0
         await asyncio.sleep(3.0)
         assert cell.width_mm == width_mm
-        assert [what for _, what, _ in cell.gripper.told] == ["hold", *["halt"] * (1 + lost)]
+        assert [what for _, what, _ in cell.gripper.commands] == ["hold", *["halt"] * (1 + lost)]
         cell.world.faults.repair("arm", stop)
         await asyncio.sleep(0.3)
         await cell.submit(ClearRequest())
@@ -77,8 +77,8 @@ def test_a_moving_arm_stands_before_the_jaws_open() -> None:
         height_mm = cell.truth.height_mm
         await cell.until(lambda: cell.phase is Phase.IDLE)
         assert cell.truth.height_mm == height_mm
-        stopped_s = next(at_s for at_s, what, _ in cell.arm.told if what == "stop" and at_s >= asked_s)
-        opened_s = next(at_s for at_s, what, _ in cell.gripper.told if what == "release")
+        stopped_s = next(at_s for at_s, what, _ in cell.arm.commands if what == "stop" and at_s >= asked_s)
+        opened_s = next(at_s for at_s, what, _ in cell.gripper.commands if what == "release")
         assert 0.0 < opened_s - stopped_s < 0.5
 
     play(Cell("wrench", 1, guard=BRISK), scene)
@@ -117,10 +117,10 @@ def test_a_release_that_is_stuck_is_not_followed_by_a_tightening() -> None:
         cell.world.faults.repair("gripper")
         await asyncio.sleep(0.3)
         assert cell.phase is Phase.FAULT
-        cell.watched = False  # it may fall: nobody holds it any more
+        cell.watched = False  # it may fall: the grip on it is lost
         cell.world.take_table(cell.now_s)
-        holds = len(cell.gripper.told)
+        holds = len(cell.gripper.commands)
         await asyncio.sleep(1.0)
-        assert not [what for _, what, _ in cell.gripper.told[holds:] if what == "hold"]
+        assert not [what for _, what, _ in cell.gripper.commands[holds:] if what == "hold"]
 
     play(Cell("wrench", 1), scene)

@@ -32,7 +32,7 @@ def reloader(cell: Cell, read: Callable[[], Config]) -> Reloader:
     return Reloader(cell.service, read, lambda: None)
 
 
-def test_every_changed_key_is_told_as_the_file_spells_it() -> None:
+def test_every_changed_key_is_reported_as_the_file_spells_it() -> None:
     new = config(guard={"force_max_n": 110, "mode": "guard"}, left={"driver": "fake", "fake": {"draw": "process"}})
     assert [str(change) for change in find_changes(config(), new)] == [
         'left.fake.draw: "inline" -> "process"',
@@ -83,8 +83,8 @@ def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
         )
         await cell.lift()
         assert cell.phase is Phase.HOLDING
-        assert cell.gripper.told
-        assert all(value <= 115.0 for _, what, value in cell.gripper.told if what == "hold")
+        assert cell.gripper.commands
+        assert all(value <= 115.0 for _, what, value in cell.gripper.commands if what == "hold")
 
     play(Cell("wrench", 1), scene)
 
@@ -149,9 +149,7 @@ def test_a_file_that_cannot_be_read_changes_nothing(failure: Exception) -> None:
     play(Cell(), scene)
 
 
-def test_systemd_is_told_that_it_reloads_and_that_it_is_ready_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_systemd_is_notified_of_the_reload_and_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(str(tmp_path / "notify"))
 
@@ -162,9 +160,9 @@ def test_systemd_is_told_that_it_reloads_and_that_it_is_ready_again(
             monkeypatch.delenv("NOTIFY_SOCKET")
 
         play(Cell(), scene)
-        told = [systemd.recv(200).decode() for _ in range(2)]
-    assert told[0].startswith("RELOADING=1\nMONOTONIC_USEC=")
-    assert told[1] == "READY=1\nSTATUS=idle"
+        messages = [systemd.recv(200).decode() for _ in range(2)]
+    assert messages[0].startswith("RELOADING=1\nMONOTONIC_USEC=")
+    assert messages[1] == "READY=1\nSTATUS=idle"
 
 
 def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> None:
@@ -172,21 +170,21 @@ def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> Non
     asked = {"state": {"directory": str(tmp_path)}, "recording": {"ring_s": 60}}
     newer = asked | {"guard": {"force_max_n": 110.0}}
     made: list[float] = []
-    anew = asyncio.Event()
+    reloaded = asyncio.Event()
 
-    async def beside(service: Any) -> None:
+    async def extra_task_body(service: Any) -> None:
         running = asyncio.Event()
         service.observers.append(lambda decision: running.set())
         await running.wait()
         os.kill(os.getpid(), signal.SIGHUP)
-        await anew.wait()
+        await reloaded.wait()
         os.kill(os.getpid(), signal.SIGTERM)
         await asyncio.sleep(60.0)
 
     def recorder(service: Any, folder: Path) -> Any:
         made.append(service.config.guard.force_max_n)
         if len(made) == 2:
-            anew.set()
+            reloaded.set()
         return root.make_recorder(service, folder)
 
     async def main() -> None:
@@ -195,7 +193,7 @@ def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> Non
                 config(**asked),
                 bind_api,
                 world=World(WorldSettings(), seed=0),
-                extra_task=beside,
+                extra_task=extra_task_body,
                 recorder=recorder,
                 read_config=lambda: config(**newer),
             )

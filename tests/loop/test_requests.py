@@ -1,4 +1,4 @@
-"""What is asked is answered or refused in time, and what the gripper did not take is said again."""
+"""Requests are answered or refused in time, and a command that the gripper missed is sent again."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def test_a_grip_that_was_not_taken_is_commanded_again() -> None:
         await cell.ready()
         cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")] * 2
         await cell.grasp()
-        assert [what for _, what, _ in cell.gripper.told] == ["hold"] * 3
-        times_s = [told_s for told_s, _, _ in cell.gripper.told]
+        assert [what for _, what, _ in cell.gripper.commands] == ["hold"] * 3
+        times_s = [sent_s for sent_s, _, _ in cell.gripper.commands]
         assert max(later - earlier for earlier, later in itertools.pairwise(times_s)) < 0.2
 
     play(Cell(), scene)
@@ -30,10 +30,10 @@ def test_a_tightening_that_was_not_taken_is_commanded_again() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
-        before = len(cell.gripper.told)
+        before = len(cell.gripper.commands)
         await cell.lift()
         assert cell.gripper.failures == []
-        holds = [value for _, what, value in cell.gripper.told[before:] if what == "hold"]
+        holds = [value for _, what, value in cell.gripper.commands[before:] if what == "hold"]
         assert holds[0] == holds[1]
         assert cell.truth.applied_n == pytest.approx(cell.service.state.grip.target_n, abs=0.5)
         assert cell.truth.dropped is None
@@ -46,13 +46,13 @@ def test_a_release_that_was_not_taken_is_commanded_again() -> None:
         await cell.grasp()
         cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
         await cell.release()
-        assert [what for _, what, _ in cell.gripper.told].count("release") == 2
+        assert [what for _, what, _ in cell.gripper.commands].count("release") == 2
         assert cell.width_mm == pytest.approx(85.0, abs=0.5)
 
     play(Cell(), scene)
 
 
-def test_a_refusal_of_the_gripper_is_told() -> None:
+def test_a_refusal_of_the_gripper_is_reported() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
@@ -93,7 +93,7 @@ def test_a_request_that_times_out_is_refused_and_not_carried_out_later() -> None
         cell.service._run_cycle = rotation  # type: ignore[method-assign]
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.IDLE
-        assert cell.gripper.told == []
+        assert cell.gripper.commands == []
 
     play(Cell(), scene)
 
@@ -108,7 +108,7 @@ def test_a_wish_whose_asker_has_gone_does_not_come_true() -> None:
         await other
         await asyncio.sleep(0.2)
         assert cell.phase is Phase.IDLE
-        assert cell.gripper.told == []
+        assert cell.gripper.commands == []
 
     play(Cell(), scene)
 

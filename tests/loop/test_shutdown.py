@@ -1,4 +1,4 @@
-"""A stop at any moment ends the tasks that own devices, whatever a driver or a library makes of it, and in a time."""
+"""A stop at any moment ends the tasks that own devices in time, even if a driver or a library swallows it."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ROTATIONS = range(16)
 
 
 async def swallowing() -> None:
-    """As `asyncio.wait_for` until Python 3.12, where the answer comes in the same turn of the loop."""
+    """As `asyncio.wait_for` until Python 3.12, where the result arrives in the same cycle of the event loop."""
     with contextlib.suppress(asyncio.CancelledError):
         await asyncio.sleep(0)
 
@@ -114,7 +114,7 @@ async def test_a_stop_in_the_middle_of_an_attempt_at_a_port_that_is_absent(rotat
 
 
 async def one_that_stays() -> None:
-    """Goes on after it was told to end."""
+    """Go on after the request to end."""
     try:
         await asyncio.Event().wait()
     except asyncio.CancelledError:
@@ -129,14 +129,14 @@ def test_a_task_that_ignores_cancellation_is_named_and_cancelled_again(
 
     monkeypatch.setattr(lifecycle, "CANCEL_AGAIN_S", 0.05)
 
-    async def beside(service: Any) -> None:
+    async def extra_task_body(service: Any) -> None:
         asyncio.get_running_loop().call_later(0.01, os.kill, os.getpid(), signal.SIGTERM)
         await one_that_stays()
 
     async def main() -> None:
         async with asyncio.timeout(30.0):
             config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
-            await root.run(config, lambda _: idle, world=World(WorldSettings(), seed=0), extra_task=beside)
+            await root.run(config, lambda _: idle, world=World(WorldSettings(), seed=0), extra_task=extra_task_body)
 
     structlog.reset_defaults()
     with capture_logs() as said:

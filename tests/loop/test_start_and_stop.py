@@ -60,13 +60,13 @@ def test_a_shutdown_at_any_moment_leaves_the_grip_as_it_is(seed: int) -> None:
         async with running(cell):
             errand = asyncio.create_task(carry(cell))
             await asyncio.sleep(moment_s)
-            before, told = cell.truth, len(cell.gripper.told)
+            before, count = cell.truth, len(cell.gripper.commands)
             errand.cancel()
             await asyncio.gather(errand, return_exceptions=True)
         await asyncio.sleep(2.0)
         after = cell.truth
-        assert len(cell.gripper.told) == told
-        assert not any(what in ("release", "move") for _, what, _ in cell.gripper.told)
+        assert len(cell.gripper.commands) == count
+        assert not any(what in ("release", "move") for _, what, _ in cell.gripper.commands)
         assert after.force_n >= before.force_n
         assert after.in_contact or not before.in_contact
         stopped_mm = cell.truth.height_mm
@@ -119,7 +119,7 @@ def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
             await new.until(new.steady)
             assert new.service.state.held.referenced
             assert new.truth.applied_n == held_n
-            assert new.gripper.told == []
+            assert new.gripper.commands == []
             assert Phase.FAULT not in new.phases, new.says
             await new.lift()
             await asyncio.sleep(0.5)
@@ -148,7 +148,9 @@ def test_an_arm_that_does_not_come_does_not_keep_a_found_object_unguarded() -> N
             events = new.service.event_log.events
             world.faults.fail("gripper", "disconnect")
             await new.until(lambda: any("gripper silent" in event.text for event in events))
-            assert {event.level for event in events if "gripper silent" in event.text} == {"warning"}, "beside a fault"
+            assert {event.level for event in events if "gripper silent" in event.text} == {"warning"}, (
+                "in addition to a fault"
+            )
 
     run_virtual(main())
 
@@ -158,7 +160,7 @@ def test_a_restart_with_nothing_held_is_idle() -> None:
         await cell.ready()
         await asyncio.sleep(1.0)
         assert cell.phases == [Phase.IDLE]
-        assert cell.gripper.told == []
-        assert cell.arm.told == []
+        assert cell.gripper.commands == []
+        assert cell.arm.commands == []
 
     play(Cell(), scene)

@@ -1,4 +1,4 @@
-"""What systemd is told: ready once the loop turns, healthy from the loop's own turns alone, stopping at the end."""
+"""Messages to systemd: ready once the loop runs, healthy from the loop's own cycles alone, stopping at the end."""
 
 from __future__ import annotations
 
@@ -28,31 +28,31 @@ def systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
         yield listening
 
 
-def told(listening: socket.socket) -> list[str]:
-    heard = []
+def messages(listening: socket.socket) -> list[str]:
+    received = []
     while True:
         try:
-            heard.append(listening.recv(500).decode())
+            received.append(listening.recv(500).decode())
         except BlockingIOError:
-            return heard
+            return received
 
 
 def test_a_healthy_loop_feeds_the_watchdog_twice_in_its_time(systemd: socket.socket) -> None:
-    heard: list[str] = []
+    received: list[str] = []
 
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        heard.extend(told(systemd))
+        received.extend(messages(systemd))
         for _ in range(10):
             start_s = cell.now_s
             await cell.until(lambda start_s=start_s: cell.now_s >= start_s + WATCHDOG_S)  # type: ignore[misc]
-            fed = told(systemd)
+            fed = messages(systemd)
             assert fed.count("WATCHDOG=1") == 2, fed
         await cell.grasp()
 
     play(Cell(), scene)
-    assert heard[0] == "READY=1"
-    last = told(systemd)
+    assert received[0] == "READY=1"
+    last = messages(systemd)
     assert "STATUS=holding" in last
     assert last[-1] == "STOPPING=1"
 
@@ -65,7 +65,7 @@ def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socke
         nonlocal rotations
         rotations += 1
         if rotations > 50:
-            raise ZeroDivisionError("a mistake in the law")
+            raise ZeroDivisionError("a mistake in the controller")
         return control_step(state, observation, params)
 
     async def scene(cell: Cell) -> None:
@@ -73,9 +73,9 @@ def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socke
 
     with pytest.raises((ExceptionGroup, AssertionError)):
         play(Cell(controller=broken), scene)
-    heard = told(systemd)
-    assert heard.count("WATCHDOG=1") == 1  # at the first turn
-    assert heard[-1] == "STOPPING=1"
+    received = messages(systemd)
+    assert received.count("WATCHDOG=1") == 1  # in the first cycle
+    assert received[-1] == "STOPPING=1"
 
 
 @pytest.mark.parametrize("raw", ["", "0", "-5", "soon", "3.5"])
@@ -84,8 +84,8 @@ def test_without_a_sensible_time_nothing_is_fed(raw: str, monkeypatch: pytest.Mo
     assert watchdog_period_s() is None
 
 
-def test_without_systemd_nobody_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_without_systemd_nothing_is_sent(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     assert notify_systemd("READY=1") is False
-    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "nobody"))
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "missing"))
     assert notify_systemd("READY=1") is False

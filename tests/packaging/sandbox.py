@@ -67,7 +67,7 @@ class Sandbox:
 
     @property
     def left_behind(self) -> list[Path]:
-        """Whatever is in the three folders now."""
+        """Everything in the three folders now."""
         return [path for name in ("home", "work", "tmp") for path in (self.path / name).rglob("*")]
 
 

@@ -1,4 +1,4 @@
-"""The example drivers of drivers/README.md: installed as a package of their own, found by name, held to the contract."""
+"""The example drivers of drivers/README.md: installed as their own package, found by name, held to the contract."""
 
 from __future__ import annotations
 

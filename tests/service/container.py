@@ -103,7 +103,7 @@ class Container:
         return lines
 
     def journal(self) -> list[dict[str, Any]]:
-        """The service's events; what it wrote beside them, such as where each thread of an aborted one was, is none."""
+        """The service's events, without its other output such as the stack of each thread of an aborted one."""
         lines = []
         for line in itertools.chain.from_iterable(self.written_by_itself().values()):
             with contextlib.suppress(ValueError):
@@ -146,7 +146,7 @@ class Container:
         return found
 
     def stop(self) -> None:
-        """Power off, and let go of the folders."""
+        """Power off and release the folders."""
         if self._nspawn is not None and self._nspawn.poll() is None:
             self.run("systemctl", "poweroff")
             try:

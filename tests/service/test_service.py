@@ -30,9 +30,9 @@ GRASP_N = 30.0
 @pytest.fixture(scope="module")
 def config(container: Container) -> Path:
     """The emulated cell's configuration without its own socket and state folder; where it lies on this side."""
-    told = config_text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
-    told = told.replace("[guard]\n", f"{PATIENT_GUARD}[guard]\n").replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
-    (container.tree / "srv" / "config.toml").write_text(told)
+    text = config_text(CELL, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
+    text = text.replace("[guard]\n", f"{PATIENT_GUARD}[guard]\n").replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
+    (container.tree / "srv" / "config.toml").write_text(text)
     return container.tree / "etc" / "slipguard" / "config.toml"
 
 
@@ -153,16 +153,16 @@ def test_a_hung_or_killed_service_is_restarted_and_the_grip_stays(
     force_n, main = cell()[-1]["force"], container.shown("MainPID")
     assert int(main) > 1
     container.run("kill", f"-{signal}", main, check=True)
-    until(lambda: container.shown("NRestarts") == restarts, "not started anew", container.journal)
+    until(lambda: container.shown("NRestarts") == restarts, "not restarted", container.journal)
     container.wait_for(held, "it does not take the object over again")
     assert container.shown("MainPID") != main
     truth = cell()
     assert truth[-1]["in_contact"]
     assert truth[-1]["force"] >= force_n - 0.5
     if signal == "STOP":
-        told = container.run("journalctl", "--no-pager", "--unit", UNIT).stdout
-        assert "Watchdog timeout" in told
-        assert "Fatal Python error: Aborted" in told  # and where each thread was
+        journal = container.run("journalctl", "--no-pager", "--unit", UNIT).stdout
+        assert "Watchdog timeout" in journal
+        assert "Fatal Python error: Aborted" in journal  # and where each thread was
 
 
 def test_a_stopped_service_keeps_the_grip(container: Container, cell: Callable[[], list[dict[str, Any]]]) -> None:
@@ -191,10 +191,10 @@ def test_the_journal_has_json_lines_with_a_level_and_a_time(container: Container
 
 def is_event(line: str) -> bool:
     try:
-        told = json.loads(line)
+        event = json.loads(line)
     except ValueError:
         return False
-    return isinstance(told, dict) and {"event", "level", "timestamp"} <= set(told)
+    return isinstance(event, dict) and {"event", "level", "timestamp"} <= set(event)
 
 
 def test_the_service_writes_to_its_own_folders_only(container: Container, before: dict[str, tuple[int, int]]) -> None:

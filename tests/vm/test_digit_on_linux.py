@@ -8,7 +8,7 @@ from machine import Machine
 pytestmark = pytest.mark.vm
 
 LOOKS = 4
-"""The kernel and the driver are measured, not what else this host is doing: the best of so many looks counts."""
+"""The kernel and the driver are measured, not what else this host is doing: the best of several attempts counts."""
 ROTATED_GREY_LEVELS = 4.0
 """Colours survive YUYV within a grey level or two; an image turned or mirrored is off by tens."""
 
@@ -60,7 +60,7 @@ def test_every_fault_has_a_text(machine: Machine) -> None:
         if seen["stall"]["after_s"] <= 0.5:
             break
     else:
-        pytest.fail(f"a stall, and told only after {seen['stall']['after_s']:.2f} s")
+        pytest.fail(f"a stall, and reported only after {seen['stall']['after_s']:.2f} s")
     assert machine.play("scenes:faults", pixels="MJPG")["short"]["as"] == "FrameCorrupt"
 
 
@@ -77,7 +77,7 @@ def test_an_unplugged_sensor_is_reported_at_once(machine: Machine) -> None:
         assert seen["as"] == "DeviceLost"
         if seen["after_s"] <= 0.05:
             return
-    pytest.fail(f"unplugged, and told only after {seen['after_s']:.3f} s")
+    pytest.fail(f"unplugged, and reported only after {seen['after_s']:.3f} s")
 
 
 @pytest.mark.parametrize("unplugged_s", [0.5, 2.5])

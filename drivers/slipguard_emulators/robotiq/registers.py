@@ -1,8 +1,8 @@
 """The controller of a 2F gripper behind its registers; written from the manual, without code of the driver.
 
 It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, so an object falls. A
-new force acts only while the motor runs: at rest, only a stop and then a go start it. Written registers take effect once per
-cycle, so a stop and a go within one cycle have no effect.
+new force acts only while the motor runs: at rest, only a stop and then a go start it. Written registers take effect
+once per cycle, so a stop and a go within one cycle have no effect.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ rotates back by a fifth."""
 COMPRESSION_BLOCK_PX = 8
 """Blocks of JPEG and motion JPEG; 240 and 320 are whole multiples of them, however the sensor is mounted."""
 LINE_STEP_PX = 4
-"""Every so many rows and columns are tested for compression and grey levels."""
+"""Step in rows and columns between the pixels tested for compression and grey levels."""
 BLOCKINESS_MAX = 4.0
 """Curvature across block borders over that inside blocks: 4.3 and more at JPEG quality 23 on 60 rendered units.
 Images that were never compressed have 0.7-1.5, real gels included; at the quality of motion JPEG (75 and better) 3.1 at

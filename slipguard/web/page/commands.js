@@ -28,7 +28,7 @@ export class Commands {
     byId("dialog-form").addEventListener("input", () => this.updateDialog());
     this.cancelButton.addEventListener("click", () => this.dialog.close());
     this.dialog.addEventListener("mousedown", (event) => {
-      // Without this, a click beside the buttons would take the focus from the cancel button.
+      // Without this, a click outside the buttons would take the focus from the cancel button.
       if (!event.target.closest("button, input, label")) event.preventDefault();
     });
     this.dialog.addEventListener("close", () => {

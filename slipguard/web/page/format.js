@@ -95,7 +95,7 @@ export function deviceName(name) {
   return fingers[name] ?? name;
 }
 
-/** Remove a device's name from the start of its message, where the name is displayed beside it. */
+/** Remove a device's name from the start of its message, where the name is displayed next to it. */
 export function withoutName(name, text) {
   return text && text.startsWith(`${name}: `) ? text.slice(name.length + 2) : text;
 }

@@ -24,9 +24,9 @@ def made(slip_deg: float, dropped: str | None = None) -> TrialOutcome:
     return TrialOutcome("slipguard", slip_deg, slip_deg, 90.0, 60.0, 0.1, 1, False, dropped)
 
 
-def played(law: TrialOutcome, oracle: TrialOutcome, of: GripTrial | None = None) -> TrialOutcomes:
+def played(product: TrialOutcome, oracle: TrialOutcome, of: GripTrial | None = None) -> TrialOutcomes:
     others = {who: made(5.0) for who in CONTROLLER_NAMES}
-    return TrialOutcomes(of or trial(), {**others, "slipguard": law, "oracle": oracle})
+    return TrialOutcomes(of or trial(), {**others, "slipguard": product, "oracle": oracle})
 
 
 def held(false: int = 0, lifting: int = 0, failed: str | None = None, *, soft: bool = False) -> HoldOutcome:
@@ -52,10 +52,10 @@ def test_ratios_exclude_drops_and_tiny_slips() -> None:
 
 
 def test_a_row_contains_steps_and_the_time_to_arrest() -> None:
-    law = [
+    outcomes = [
         replace(made(1.0), tightenings=k, arrested_s=arrested_s) for k, arrested_s in ((0, None), (1, 0.2), (4, 0.6))
     ]
-    one = rows.row("all", [played(outcome, made(1.0)) for outcome in law])
+    one = rows.row("all", [played(outcome, made(1.0)) for outcome in outcomes])
     assert (one.steps_median, one.steps_max) == (1.0, 4)
     assert (one.arrested_s, one.arrested_max_s) == (pytest.approx(0.4), 0.6)
 

@@ -46,7 +46,10 @@ HELD: dict[str, Any] = {
     },
     "devices": {
         "left": {"state": "ready", "reason": None},
-        "right": {"state": "disconnected", "reason": "right: no DIGIT with serial number D20510; [plugged] in are D1 and D2"},
+        "right": {
+            "state": "disconnected",
+            "reason": "right: no DIGIT with serial number D20510; [plugged] in are D1 and D2",
+        },
         "gripper": {"state": "error", "reason": "gripper: no answer within 50 ms"},
         "arm": {"state": "ready", "reason": None},
     },

@@ -1,4 +1,4 @@
-"""The doctor's single looks: what is said about figures, folders and drivers that no emulator shows."""
+"""The doctor's single checks: findings on figures, folders and drivers that no emulator reproduces."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def plug_in(sysfs: Path, number: int, serial: str, port: str, *, release: str = 
 
 @pytest.fixture
 def dev(tmp_path: Path) -> Path:
-    """/dev with two cameras, and /sys beside it."""
+    """/dev with two cameras, and /sys."""
     (tmp_path / "sys").mkdir()
     (tmp_path / "dev").mkdir()
     for number in (0, 1):
@@ -69,7 +69,7 @@ def test_a_digit_with_everything_in_order(dev: Path) -> None:
     assert "not shared" in found["USB bus"].observed
 
 
-def test_a_digit_on_a_slow_link_beside_another_without_rules(dev: Path) -> None:
+def test_a_digit_on_a_slow_link_and_another_without_rules(dev: Path) -> None:
     plug_in(dev.parent / "sys", 0, "D20001", "1-1", release="0199", speed="12")
     plug_in(dev.parent / "sys", 1, "D20002", "1-2")
     found = digit(dev, led_rgb=(15, 0, 0))
@@ -218,7 +218,7 @@ async def test_a_look_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("known", ["ok", "drifted", "marked", "worn"])
 def test_a_gel_that_has_changed_is_a_note_with_what_to_do(known: str) -> None:
-    told = {"status": known, "observed": "2 lasting marks", "action": "" if known == "ok" else "clean the gel"}
-    found = through_daemon.check_gel(told)
-    assert (found.check, found.observed, found.action) == ("gel", told["observed"], told["action"])
+    response = {"status": known, "observed": "2 lasting marks", "action": "" if known == "ok" else "clean the gel"}
+    found = through_daemon.check_gel(response)
+    assert (found.check, found.observed, found.action) == ("gel", response["observed"], response["action"])
     assert found.status is (CheckStatus.OK if known == "ok" else CheckStatus.NOTE)

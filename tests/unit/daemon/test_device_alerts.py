@@ -1,4 +1,4 @@
-"""A device that is not well is said so, once, in every phase; and so is its getting well."""
+"""A device fault is reported once, in every phase, and so is its end."""
 
 from __future__ import annotations
 

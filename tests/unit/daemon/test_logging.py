@@ -61,10 +61,10 @@ def test_the_log_level_can_be_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     configure()
     log = structlog.get_logger()
     set_level("error")
-    log.warning("not heard")
+    log.warning("not logged")
     set_level("debug")
-    log.debug("heard")
-    assert [json.loads(line)["event"] for line in stream.getvalue().splitlines()] == ["heard"]
+    log.debug("logged")
+    assert [json.loads(line)["event"] for line in stream.getvalue().splitlines()] == ["logged"]
 
 
 def test_a_failing_stream_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,18 +77,18 @@ def test_a_failing_stream_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stderr", closed)
     configure()
     closed.close()
-    structlog.get_logger().info("to nobody")
+    structlog.get_logger().info("to a closed stream")
 
 
 def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stream, told, now_s = io.StringIO(), list[str](), 0.0
+    stream, delivered, now_s = io.StringIO(), list[str](), 0.0
     monkeypatch.setattr(sys, "stderr", stream)
     monkeypatch.setattr(event_log_module, "_now_s", lambda: now_s)
     configure()
     event_log = EventLog()
-    event_log.listeners.append(lambda event: told.append(event.line))
+    event_log.listeners.append(lambda event: delivered.append(event.line))
     for rotation in range(250):
         now_s = rotation * 0.01
         event_log.warning(f"left: its newest frame is {rotation}.5 ms old")
@@ -102,7 +102,7 @@ def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
         "left: its newest frame is 200.5 ms old",
     ]
     assert lines[1]["similar_held_back"] == 99
-    assert len(told) == 251
+    assert len(delivered) == 251
 
 
 def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""Whose time it is: real-time priority is asked for in one place, and whoever stands back does so alone."""
+"""Real-time priority is requested in one place, and a process that lowers its priority affects only itself."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ def test_batch_priority_applies_to_one_thread_and_its_children() -> None:
         policy, niceness = back.submit(standing).result()
         child = back.submit(subprocess.check_output, ("cat", "/proc/self/stat"), text=True).result()
     assert (policy, niceness) == (os.SCHED_BATCH, min(before[1] + 7, 19))
-    told = child.rpartition(")")[2].split()  # from the third value on, its state
-    assert (int(told[41 - 3]), int(told[19 - 3])) == (policy, niceness)
+    fields = child.rpartition(")")[2].split()  # from the third value on, its state
+    assert (int(fields[41 - 3]), int(fields[19 - 3])) == (policy, niceness)
     assert standing() == before
 
 
 @pytest.mark.parametrize("module", ["slipguard.web", "slipguard_drivers.digit.render_process"])
 def test_batch_processes_set_their_priority_before_heavy_imports(module: str) -> None:
     heavy = ("asyncio", "cv2", "fastapi", "numpy", "slipguard.sim", "starlette", "structlog", "uvicorn")
-    told = subprocess.check_output((sys.executable, "-c", UNTIL_IT_STANDS_BACK, module, *heavy), text=True)
-    assert told == "stands back, with []\n"
+    output = subprocess.check_output((sys.executable, "-c", UNTIL_IT_STANDS_BACK, module, *heavy), text=True)
+    assert output == "stands back, with []\n"
 
 
 def test_a_forbidden_priority_change_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:

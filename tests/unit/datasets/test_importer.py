@@ -19,7 +19,7 @@ Image = NDArray[np.uint8]
 
 
 def picture(width: int = 240, height: int = 320) -> Image:
-    """Colours that tell up from down and left from right."""
+    """Colors that differ between up and down, left and right."""
     x, y = np.meshgrid(np.linspace(0, 255, width), np.linspace(0, 255, height))
     return np.dstack([x, y, np.full_like(x, 60)]).astype(np.uint8)
 

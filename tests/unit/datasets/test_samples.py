@@ -39,7 +39,7 @@ def many() -> list[RenderedSample]:
     return [render_sample(seed) for seed in range(0, 400, 2)]
 
 
-def test_a_seed_gives_the_same_frame_whatever_was_drawn_before() -> None:
+def test_a_seed_gives_the_same_frame_regardless_of_earlier_draws() -> None:
     first = render_sample(12)
     render_sample(13)  # of the same unit
     assert equal(first, render_sample(12))

@@ -1,4 +1,4 @@
-"""What the system tells of a serial port: who has it, and how long its adapter keeps an answer."""
+"""System information on a serial port: which program has it open, and its adapter's latency timer."""
 
 from __future__ import annotations
 

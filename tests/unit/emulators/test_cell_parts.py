@@ -24,7 +24,7 @@ QUICK = GripperDynamics(transaction_s=0.0, dead_time_s=0.02, ramp_n_s=200.0, spe
 
 @pytest.fixture
 def world() -> World:
-    """Jaws around a wrench that nobody touches yet, at time 0."""
+    """Jaws around a wrench that they do not touch yet, at time 0."""
     world = World(WorldSettings(gripper=QUICK))
     world.place(Scenario("wrench", gripper=QUICK), 0.0)
     return world

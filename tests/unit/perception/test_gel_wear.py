@@ -141,7 +141,7 @@ def test_a_change_of_light_is_reported_in_grey_levels() -> None:
 
 @pytest.mark.real
 def test_real_units_without_contact_have_no_marks(real_data: Path) -> None:
-    """Six units as they are, drifted and moved; and the gel beside 60 real presses of two units, lit as it was then."""
+    """Six units as they are, drifted and moved; and the gel around 60 real presses of two units."""
     rng = np.random.default_rng(0)
     for path in sorted((real_data / "backgrounds").glob("*.png")):
         known = cv2.imread(str(path))

@@ -46,7 +46,7 @@ AT = (120.0, 160.0)
 
 
 def polygon(corners: int) -> Surface:
-    """A face of so many corners."""
+    """A face with a number of corners."""
     normals = [2.0 * math.pi * k / corners for k in range(corners)]
 
     def surface(u: Heights, v: Heights) -> Heights:
@@ -57,7 +57,7 @@ def polygon(corners: int) -> Surface:
 
 
 def toothed(teeth: int) -> Surface:
-    """The rim of a cap with so many teeth."""
+    """The rim of a cap with a number of teeth."""
 
     def surface(u: Heights, v: Heights) -> Heights:
         ribs = 3.0 * np.cos(teeth * np.arctan2(v, u)) * np.exp(-((np.hypot(u, v) - 42.0) ** 2) / 120.0)
@@ -67,7 +67,7 @@ def toothed(teeth: int) -> Surface:
 
 
 def oblong_gear(u: Heights, v: Heights) -> Heights:
-    """Teeth on a long hump, whose axis tells which tooth it is."""
+    """Teeth on a long hump, whose axis identifies the tooth."""
     away = np.hypot(np.maximum(np.abs(u) - 30.0, 0.0), np.maximum(np.abs(v) - 10.0, 0.0))
     ribs = 3.0 * np.cos(12 * np.arctan2(v, u)) * np.exp(-((np.hypot(u, v) - 32.0) ** 2) / 120.0)
     return np.asarray(9.0 * np.exp(-away * away / 1800.0) + ribs, np.float32)

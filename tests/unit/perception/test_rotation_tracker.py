@@ -31,7 +31,7 @@ def tracked(rotations: list[tuple[float, float]]) -> RotationTracker:
 
 
 def rotating(tracker: RotationTracker, from_s: float, rate_deg_s: float, frames: int) -> float | None:
-    """The rate after so many regular frames of a steady turn."""
+    """The rate after a number of regular frames of a steady rotation."""
     for k in range(frames):
         tracker.accept(from_s + k / 60, RotationEstimate(rate_deg_s * k / 60, 0.3))
     return tracker.rate_deg_s(from_s + (frames - 1) / 60)

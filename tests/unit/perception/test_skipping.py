@@ -95,7 +95,7 @@ def test_two_fingers_never_skip_each_other(left_deg: float, right_deg: float) ->
 
 
 def first_slip(rate_deg_s: float, skip_second: bool, phase_s: float) -> int:
-    """Frame on which the law sees the slip; the right finger answers second, with twice the noise."""
+    """Frame on which the controller detects the slip; the right finger comes second, with twice the noise."""
     rng = np.random.default_rng(3)
     memory, params = SlipMemory(), GuardParams()
     left: Estimate | None = None

@@ -219,7 +219,7 @@ def test_files_dated_in_the_future_are_deleted_first(tmp_path: Path) -> None:
 
 
 def test_every_file_reads_the_wall_clock(tmp_path: Path) -> None:
-    clocks = iter((RecordingClock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is told
+    clocks = iter((RecordingClock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is set
     one = Recorder(
         Ring(tmp_path, LIMITS),
         RecorderSettings("none", segment_s=1.0),
@@ -278,7 +278,7 @@ def test_a_full_disk_stops_the_recording_with_one_message(tmp_path: Path) -> Non
 
 def test_adding_values_never_waits_and_leaves_out_images_first(tmp_path: Path) -> None:
     one = recorder(tmp_path)
-    for number in range(2500):  # not started: nobody takes anything
+    for number in range(2500):  # not started: no thread takes anything
         one.add(RecordedFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
     assert one.left_out == 600 - 500 + 2500 - 2000
     one.start()

@@ -43,7 +43,7 @@ class Disk:
 
 
 class Counted(Recorder):
-    """Tells of each value it is done with."""
+    """Reports each value it is done with."""
 
     taken: threading.Semaphore
 

@@ -184,7 +184,7 @@ def test_procedural_backgrounds_are_smooth_and_use_the_range() -> None:
         assert fine.std() < 4.0
 
 
-def test_something_pressed_beside_the_frame_leaves_it_alone() -> None:
+def test_something_pressed_outside_the_frame_leaves_it_alone() -> None:
     assert np.array_equal(change(QUIET, GelView("ball", x_mm=12.0, depth_mm=1.0)), np.zeros((320, 240, 3)))
     assert np.array_equal(change(QUIET, GelView("ball", y_mm=-40.0, depth_mm=1.0)), np.zeros((320, 240, 3)))
 

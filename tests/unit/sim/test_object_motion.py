@@ -150,7 +150,7 @@ def test_halving_the_step_halves_the_error() -> None:
 
 
 @pytest.mark.parametrize("step_s", [2e-3, 1e-3, 2e-4])
-def test_the_critical_grip_is_the_closed_form_whatever_the_step(step_s: float) -> None:
+def test_the_critical_grip_is_the_closed_form_for_any_step(step_s: float) -> None:
     needed_n = needed_force_n(bar(), STIFF)
 
     def slips(force_n: float) -> bool:

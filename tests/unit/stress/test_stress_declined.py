@@ -46,7 +46,8 @@ class DecliningTracker(RotationTracker):
 
 def declining() -> ProductFunctions:
     return ProductFunctions(
-        pipeline=DecliningPipeline, tracker=DecliningTracker, estimate=lambda patch, name: AxisEstimate(name, None, None, None, "always declined"),
+        pipeline=DecliningPipeline, tracker=DecliningTracker,
+        estimate=lambda patch, name: AxisEstimate(name, None, None, None, "always declined"),
         fuse=lambda left, right: None,
     )  # fmt: skip
 

@@ -64,7 +64,7 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
 
 @pytest.fixture
 def rotating(tmp_path: Path) -> Path:
-    """A folder: two frames without contact, six held still, then a turn by 12 degrees; beside it the background."""
+    """A folder: two frames without contact, six held still, then a rotation by 12 degrees; and the background."""
     folder = tmp_path / "frames"
     folder.mkdir()
     angles = [None, None, *[20.0] * 6, 22.0, 24.0, 26.0, 28.0, 30.0, 32.0]

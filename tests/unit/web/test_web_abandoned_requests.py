@@ -39,7 +39,7 @@ async def test_a_release_abandoned_while_no_process_served_is_not_executed(
             await asyncio.to_thread(client.state)
             os.kill(web_process(), signal.SIGKILL)
             asked_and_gone(served.socket)
-        with served.client() as client:  # whoever waits is served, and after those who came before
+        with served.client() as client:  # a waiting client is served, after those who came before
             assert await asyncio.to_thread(client.submit, ClearRequest()) == {"message": "clear: done"}
     assert daemon.requests == [ClearRequest()]
 

@@ -117,7 +117,7 @@ async def test_a_link_gives_control_once(daemon: FakeDaemonApi, tmp_path: Path) 
             assert TOKEN not in response.headers["set-cookie"]
             assert (await browser.get(f"http://127.0.0.1:{port}/access")).json() == {"control": False}
             stolen = await browser.post(f"http://127.0.0.1:{port}/clear")
-            assert stolen.status_code == 401, "whoever listens at another port of this machine is sent the cookie too"
+            assert stolen.status_code == 401, "a program at another port of this machine is sent the cookie too"
             received = await browser.get(f"http://127.0.0.1:{port}/access", headers=session)
             assert received.json() == {"control": True}
             origin = {"origin": f"http://127.0.0.1:{port}"}
@@ -215,7 +215,7 @@ def test_the_token_file_is_private_new_each_time_and_removed_afterwards(tmp_path
         assert path.read_text() == f"{first}\n"
         assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert not path.exists()
-    path.write_text("somebody else's, and readable by all")
+    path.write_text("another user's, and readable by all")
     path.chmod(0o644)
     with token_file(path) as second:
         assert second != first

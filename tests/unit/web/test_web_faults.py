@@ -111,7 +111,7 @@ async def test_an_event_that_cannot_be_sent_is_dropped() -> None:
     hear(Event(math.nan, "info", "no time at all"))
     theirs.close()
     for _ in range(3):
-        hear(Event(1.0, "info", "nobody is there"))
+        hear(Event(1.0, "info", "no client is there"))
         await asyncio.sleep(0)
     await responses
     writer.close()

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 
 def main() -> None:
-    """Serve until the port is closed for good or told to power off."""
+    """Serve until the port is closed for good or a power-off request comes."""
     import cv2
     import scenes
 
@@ -35,7 +35,7 @@ def main() -> None:
         while True:
             piece = port.read(65536)
             if not piece:
-                select.select([], [], [], 0.05)  # nobody at the other end
+                select.select([], [], [], 0.05)  # no program at the other end
                 continue
             *lines, pending = (pending + piece).split(b"\n")
             for line in lines:
