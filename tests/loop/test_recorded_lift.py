@@ -89,8 +89,8 @@ def test_a_lift_with_slip_is_kept_and_replays_to_the_same_commands(lift: Path) -
 def test_a_clock_that_is_set_right_is_believed_from_the_next_file_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told_ns = iter((10**9, *[1_763_700_000_000_000_000] * 9))
-    monkeypatch.setattr("slipguard.daemon.store.recording.time.time_ns", lambda: next(told_ns))
+    clock_ns = iter((10**9, *[1_763_700_000_000_000_000] * 9))
+    monkeypatch.setattr("slipguard.daemon.store.recording.time.time_ns", lambda: next(clock_ns))
     recorded(Cell("wrench", 1), tmp_path)
     first, *others = sorted((tmp_path / "kept").iterdir())
     assert first.name.startswith("1970")
@@ -103,10 +103,10 @@ def test_an_independent_reader_finds_every_turn_of_the_loop(lift: Path) -> None:
     for path in lift.iterdir():
         with path.open("rb") as file:
             reader = make_reader(file)
-            told = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.TICK_TOPIC])]
+            inputs = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.TICK_TOPIC])]
             summary = reader.get_summary()
-        assert [one["now_s"] for one in told] == [tick.now_s for tick in ticks(path)]
-        tightened += sum((one["output"]["gripper"] or {}).get("kind") == "hold" for one in told)
+        assert [one["now_s"] for one in inputs] == [tick.now_s for tick in ticks(path)]
+        tightened += sum((one["output"]["gripper"] or {}).get("kind") == "hold" for one in inputs)
         assert summary is not None
         assert {channel.topic for channel in summary.channels.values()} >= {m.TICK_TOPIC, *m.JUDGED_TOPIC.values()}
     assert tightened
