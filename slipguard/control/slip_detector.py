@@ -1,11 +1,11 @@
 """Distinguish slip from noise and from elastic torsion, estimate by estimate.
 
-A gel under load twists and shifts elastically, too, but it comes to rest: rate and persistence distinguish slip from it. How
-little counts as slip depends on the arm. An object at rest in the air rotates for one reason only, so a fraction of a
-degree is enough. While the arm moves, the gel twists with the load: by as much as it is twisted already, times the
-change of the load. While an object leaves the table, the gel is loaded for the first time, and no image distinguishes that from
-slip, for the far end still rests on the table. Raising the grip costs little then, so it is raised once; after that it
-is trusted for some degrees more.
+A gel under load twists and shifts elastically, too, but it comes to rest: rate and persistence distinguish slip from
+it. How little counts as slip depends on the arm. An object at rest in the air rotates for one reason only, so a
+fraction of a degree is enough. While the arm moves, the gel twists with the load: by as much as it is twisted already,
+times the change of the load. While an object leaves the table, the gel is loaded for the first time, and no image
+distinguishes that from slip, for the far end still rests on the table. Raising the grip costs little then, so it is
+raised once; after that it is trusted for some degrees more.
 """
 
 from __future__ import annotations

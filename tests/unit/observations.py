@@ -26,7 +26,8 @@ def arm(
 
 
 def fused(
-    rotation_deg: float | None = 0.0, rate_deg_s: float | None = 0.0, *, at_s: float = 0.0, shift_mm: float | None = 0.0,
+    rotation_deg: float | None = 0.0, rate_deg_s: float | None = 0.0, *, at_s: float = 0.0,
+    shift_mm: float | None = 0.0,
     contact: bool = True, sigma_deg: float = 0.5, fingers: tuple[str, ...] = ("left", "right"),
     conflict: str | None = None, note: str | None = None, declined: str | None = None,
 ) -> FusedEstimate:  # fmt: skip

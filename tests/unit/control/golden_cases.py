@@ -1,6 +1,6 @@
 """What the controller commands, reports and enters: every phase, every request and everything that can go wrong.
 
-`python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line; review the changes before
+`python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line; review the diff before
 you commit them. Slip detection and the response to it have tests of their own.
 """
 

@@ -129,7 +129,7 @@ def test_an_uncertain_rotation_contradicts_no_finger(angle_deg: float, opposed: 
 def test_one_finger_rotates_alone(
     left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None
 ) -> None:
-    """Beyond 3 degrees, a tenth of the rotation, and five combined standard deviations; all of the larger one is used."""
+    """Beyond 3 degrees, a tenth of the rotation and five combined standard deviations, the larger one is used."""
     left = changed(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
     right = changed(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
     answer = fuse(left, right)

@@ -31,7 +31,8 @@ class Watched:
         self.now_s += FRAME_S
         fingers = ("left",) if self.left_alone else ("left", "right")
         view = fused(
-            rotation_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers, shift_mm=self.shift_mm,
+            rotation_deg, self.rate_deg_s, at_s=self.now_s, sigma_deg=sigma_deg, fingers=fingers,
+            shift_mm=self.shift_mm,
             conflict=self.conflict,
         )  # fmt: skip
         here = changed(self.here, measured_at_s=self.now_s)

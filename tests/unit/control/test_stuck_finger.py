@@ -29,7 +29,7 @@ NOTICED_S = 0.25
 
 @dataclass(slots=True)
 class Pair:
-    """The left finger is stuck at 0 and its image unchanged; the right one sees the object rotation, and come to rest."""
+    """The left finger is stuck at 0 with an unchanged image; the right one sees the object rotate and come to rest."""
 
     sigma_deg: float
     rate_deg_s: float
@@ -125,7 +125,7 @@ def test_a_stuck_finger_is_reported_while_the_object_rests_rotated() -> None:
 
 @pytest.mark.parametrize(("every", "spare"), [(2, False), (5, False), (10, False), (2, True), (10, True)])
 def test_a_contradiction_is_not_settled_by_a_moment_of_silence(every: int, spare: bool) -> None:
-    """The finger that sees the rotation declines now and then; the stuck one alone is believed until it is asked again."""
+    """The finger that sees the rotation declines now and then; meanwhile only the stuck one gives an estimate."""
     guard, log = played(Pair(0.2, 20.0, spare, declines_every=every), REST_S + 2.0)
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
