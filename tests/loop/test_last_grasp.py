@@ -215,7 +215,7 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
     )
 
 
-def test_what_was_to_be_let_go_is_noted_with_its_fault(tmp_path: Path) -> None:
+def test_a_requested_release_is_stored_with_its_fault(tmp_path: Path) -> None:
     shelf = StateDir(tmp_path)
     fault = Fault(FaultCode.GRIPPER_STUCK, "not open 2.0 s after the release", "look at the gripper")
 

@@ -1,4 +1,4 @@
-"""A lift recorded on the virtual clock: the law, played again on it, gives the very same commands."""
+"""A lift recorded on the virtual clock: replaying the controller on it gives the same commands."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_cut_at_any_byte_it_is_readable_up_to_there_and_plays_up_to_there(lift: 
             assert replay([open_recording(cut)]).on_recorded.differences == []
 
 
-def test_a_law_that_would_have_decided_otherwise_is_found_out(lift: Path) -> None:
+def test_a_controller_that_decides_otherwise_is_detected(lift: Path) -> None:
     opened = recordings([lift])
     for one in opened:
         config = json.loads(one.attachments[m.CONFIG_ATTACHMENT])
@@ -153,7 +153,7 @@ def test_a_fault_is_kept_with_its_words(tmp_path: Path) -> None:
 
 
 class FillingUp:
-    """A file on a disk with room for so many bytes in all."""
+    """A file on a disk with room for a limited number of bytes."""
 
     def __init__(self, path: Path) -> None:
         self._file, self._room = open_new(path), ROOM_BYTES
@@ -178,5 +178,5 @@ def test_a_disk_that_fills_up_ends_the_recording_and_not_the_guard(tmp_path: Pat
     said = [line for line in cell.service.event_log.lines if "recording stopped" in line]
     assert len(said) == 1
     assert "the guard goes on" in said[0]
-    assert any("tightening" in line for line in cell.says), "the object slipped and nobody tightened"
+    assert any("tightening" in line for line in cell.says), "the object slipped and the grip was not tightened"
     assert ticks(longest(tmp_path / "kept")), "the slip came after, what was before it is kept"

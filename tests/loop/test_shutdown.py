@@ -79,7 +79,7 @@ def ended_when_cancelled_at(rotation: int, make: Callable[[], Coroutine[Any, Any
 
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize("rotation", ROTATIONS)
-def test_a_device_that_swallows_a_cancellation_is_let_go(rotation: int, there: bool) -> None:
+def test_a_device_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
     def driven() -> Coroutine[Any, Any, None]:
         device = Careless(there)
         actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda said: None)

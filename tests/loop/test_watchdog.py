@@ -57,7 +57,7 @@ def test_a_healthy_loop_feeds_the_watchdog_twice_in_its_time(systemd: socket.soc
     assert last[-1] == "STOPPING=1"
 
 
-def test_a_law_that_fails_ends_the_service_and_feeds_nothing_more(systemd: socket.socket) -> None:
+def test_a_controller_error_ends_the_service_and_feeds_nothing_more(systemd: socket.socket) -> None:
     """Sensors, gripper and arm go on answering until then: they are no sign of health."""
     rotations = 0
 

@@ -49,7 +49,7 @@ class Process:
         """All it has printed."""
         return self.output.read_text()
 
-    def tell(self, line: str) -> None:
+    def send(self, line: str) -> None:
         """A line to its stdin."""
         assert self._process.stdin is not None
         self._process.stdin.write(line + "\n")
@@ -107,13 +107,13 @@ class Cell:
     def order(self, line: str) -> None:
         """A control word, obeyed when this returns."""
         before = self.process.said.count('"answer"')
-        self.process.tell(line)
+        self.process.send(line)
         until(
             lambda: self.process.said.count('"answer"') > before, f"{line!r} is not obeyed", lambda: self.process.said
         )
 
     def events(self, name: str) -> list[dict[str, Any]]:
-        """What the doubles told as it happened."""
+        """The events that the doubles reported."""
         lines = [json.loads(line) for line in self.process.said.splitlines() if line.startswith("{")]
         return [line for line in lines if line.get("event") == name]
 

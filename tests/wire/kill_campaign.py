@@ -40,7 +40,8 @@ class Kill:
     """One kill and what came after. at_s: after the lift was asked for; dead_s: until the next daemon was started.
 
     guarding_s: from the start of the process until it guarded what it found held; cpu_s: its own work until then.
-    rotation_deg: the true turn at the kill; true_deg, told_deg: the true turn and the one told once guarding again.
+    rotation_deg: the true rotation at the kill; true_deg, estimated_deg: the true and the estimated
+    rotation once guarding again.
     """
 
     at_s: float
@@ -51,12 +52,12 @@ class Kill:
     cpu_s: float
     rotation_deg: float
     true_deg: float
-    told_deg: float
+    estimated_deg: float
 
     @property
     def rotation_kept(self) -> bool:
         """The turn is reported from where the object was gripped, not from where the daemon was killed."""
-        return abs(self.told_deg - self.true_deg) < KEPT_DEG
+        return abs(self.estimated_deg - self.true_deg) < KEPT_DEG
 
 
 @contextmanager
@@ -75,12 +76,12 @@ def running(cell: Cell, number: int) -> Iterator[tuple[Process, Client]]:
 
 
 def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
-    """Grasp, lift, kill, start, look, put down; `kills` times. Whatever is not as it should be is an assertion."""
+    """Grasp, lift, kill, start, check, put down; `kills` times. Every deviation is an AssertionError."""
     rng = np.random.default_rng(seed)
     calibrated = False
     for number in range(kills):
         at_s, dead_s = float(rng.uniform(0.0, LIFT_S)), float(rng.uniform(0.0, DEAD_S))
-        let_go = len(cell.events("released"))
+        releases = len(cell.events("released"))
         with running(cell, 2 * number) as (process, client):
             wait_for(client, lambda state: not state["waiting_for"], "the devices are not ready")
             if not calibrated:
@@ -97,9 +98,9 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
         started_s = time.time()
         with running(cell, 2 * number + 1) as (process, client):
             guarding_s, cpu_s = guarded_at_s(process) - started_s, process.cpu_s
-            expected = wait_for(client, told_firm, "not firm")["rotation"]["rotation_deg"]
+            estimated_deg = wait_for(client, estimated_firm, "not firm")["rotation"]["rotation_deg"]
             after = cell.truth()[-1]
-            assert len(cell.events("released")) == let_go, f"kill {number}: the jaws opened"
+            assert len(cell.events("released")) == releases, f"kill {number}: the jaws opened"
             assert not after["dropped"], f"kill {number}: it fell: {after}"
             assert after["force"] >= before["force"] - LOOSER_N, f"kill {number}: looser: {before} {after}"
             yield Kill(
@@ -111,17 +112,17 @@ def campaign(cell: Cell, kills: int, seed: int) -> Iterator[Kill]:
                 cpu_s,
                 before["rotation"],
                 after["rotation"],
-                expected,
+                estimated_deg,
             )
             put_down(cell, client)
-            assert len(cell.events("released")) == let_go + 1
+            assert len(cell.events("released")) == releases + 1
 
 
 def firm(state: dict[str, Any]) -> bool:
     return state["phase"] == "holding" and not state["gripper"]["moving"] and not state["slipping"]
 
 
-def told_firm(state: dict[str, Any]) -> bool:
+def estimated_firm(state: dict[str, Any]) -> bool:
     return firm(state) and state["rotation"] is not None
 
 

@@ -88,7 +88,7 @@ class Lane:
         self.asked: tuple[bool, list[str]] = (False, [])
         """What the driver wrote last, and whether a release did; no write is sent before the last one is done with."""
         self.by_release = False
-        """Whether what the gripper heard last was a release's."""
+        """Whether the last write that reached the gripper was a release's."""
         self._watch_answers()
 
     def _driver(self) -> RobotiqGripper:
@@ -127,7 +127,7 @@ class Lane:
             self.outcome.opened.append("; ".join(str(entry) for entry in list(self.emulator.log)[-8:]))
 
     async def run(self, commands: int) -> None:
-        """Do so many commands; the line is quiet again afterwards."""
+        """Do a number of commands; the line is quiet again afterwards."""
         await self.emulator.start()
         self._jaws.object_mm = 41.2
         await self._open_again()
@@ -254,7 +254,7 @@ class Lane:
         raise AssertionError("the jaws do not come to rest")
 
     async def _object(self) -> None:
-        """Somebody puts another object between open jaws."""
+        """Put another object between open jaws."""
         view = self._look()
         if not view.holds and not view.moving and view.width_mm > 10.0:
             self._jaws.object_mm = self.rng.uniform(5.0, view.width_mm - 1.0)
@@ -288,7 +288,7 @@ async def watch_stalls(outcome: Outcome) -> None:
 
 
 async def campaign(folder: Path, commands: int, seed: int, lanes: int = 6) -> Outcome:
-    """So many commands in all, on several lines at once."""
+    """A number of commands in all, on several lines at once."""
     outcome = Outcome(due_s=asyncio.get_running_loop().time())
     each = -(-commands // lanes)
     stalls = asyncio.create_task(watch_stalls(outcome), name="stalls")

@@ -20,7 +20,7 @@ OPTIONS = ("--object", "wrench", "--seed", 0, "--fps", 30, "--height-mm", 40)
 
 
 def free_address() -> str:
-    """Of this machine, where nobody listens."""
+    """An address of this machine without a listener."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         return f"127.0.0.1:{free.getsockname()[1]}"
 

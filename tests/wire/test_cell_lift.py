@@ -75,7 +75,7 @@ def test_a_lift_by_slipguard(
         check(there)
         client.submit(LowerRequest())
         wait_for(client, lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] < 1.0, "still up")
-        assert not there.events("released"), "nobody had asked to open"
+        assert not there.events("released"), "no release was requested"
         put_down(client)
         assert len(there.events("released")) == 1
         assert not [line for line in there.truth() if line["dropped"]]
@@ -93,4 +93,4 @@ def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
             assert not there.events("released")
             put_down(client)
         ended = [event["why"] for event in there.events("ended")]
-        assert not ended, f"somebody's program was ended: {ended}"
+        assert not ended, f"another program was ended: {ended}"

@@ -26,7 +26,7 @@ from slipguard.doctor import gripper, sensor
 from slipguard_drivers.ur5 import diagnostics as ur5_diagnostics
 
 HOST = own_address(65)
-NOBODY = 65534
+UNPRIVILEGED_ID = 65534
 TIMING = {"frame rate", "lost frames", "round trip", "RTDE rate"}
 
 
@@ -125,8 +125,8 @@ words = sys.argv[1:]
 with contextlib.redirect_stdout(io.StringIO()):
     run(words)  # what it imports, it imports as root
 os.setgroups([])
-os.setresgid({NOBODY}, {NOBODY}, {NOBODY})
-os.setresuid({NOBODY}, {NOBODY}, {NOBODY})
+os.setresgid({UNPRIVILEGED_ID}, {UNPRIVILEGED_ID}, {UNPRIVILEGED_ID})
+os.setresuid({UNPRIVILEGED_ID}, {UNPRIVILEGED_ID}, {UNPRIVILEGED_ID})
 sys.exit(run(words))
 """
 """Root may do everything, so the doctor runs as a user without rights, in a process of its own."""

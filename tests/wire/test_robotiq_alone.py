@@ -1,4 +1,4 @@
-"""Nobody else is on the gripper's line: two masters could open a grip."""
+"""No other program uses the gripper's line: two masters could open a grip."""
 
 from __future__ import annotations
 

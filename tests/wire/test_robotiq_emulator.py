@@ -27,9 +27,9 @@ class Bench:
 
     def __init__(self) -> None:
         self.jaws = SimpleJaws()
-        self.expected: list[str] = []
+        self.events: list[str] = []
         self.registers = GripperRegisters(
-            self.jaws, FIGURES["2F-85"], lambda event, **details: self.expected.append(event)
+            self.jaws, FIGURES["2F-85"], lambda event, **details: self.events.append(event)
         )
         self.now_s = 100.0
 
@@ -67,7 +67,7 @@ def test_activation_takes_seconds_and_moves_the_jaws_fully() -> None:
     assert bench.jaws.state_at(bench.now_s).width_mm < 30.0
     bench.wait(3.0)
     assert bench.flags & 0x3F == 0x31
-    assert bench.expected[-1] == "activated"
+    assert bench.events[-1] == "activated"
 
 
 def test_a_new_force_at_rest_does_nothing_and_stop_then_go_tightens(bench: Bench) -> None:
@@ -81,7 +81,7 @@ def test_a_new_force_at_rest_does_nothing_and_stop_then_go_tightens(bench: Bench
     assert bench.flags == 0xB1
     bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
     assert bench.force_n == pytest.approx(235.0)
-    assert "released" not in bench.expected
+    assert "released" not in bench.events
 
 
 def test_a_stop_and_a_go_within_one_cycle_are_no_stop(bench: Bench) -> None:
@@ -102,7 +102,7 @@ def test_force_never_falls_until_the_jaws_open(bench: Bench) -> None:
     assert bench.force_n == before_n > 100.0
     bench.write(0x0900, 0x00, 0xFF00, after_s=2.0)
     assert bench.force_n == 0.0
-    assert "released" in bench.expected
+    assert "released" in bench.events
 
 
 def test_clearing_ract_keeps_the_grip_and_activating_drops_it(bench: Bench) -> None:
@@ -111,9 +111,9 @@ def test_clearing_ract_keeps_the_grip_and_activating_drops_it(bench: Bench) -> N
     bench.write(0, 0, 0)
     assert bench.flags == 0x00
     assert bench.force_n > 100.0
-    assert "released" not in bench.expected
+    assert "released" not in bench.events
     bench.write(0x0100, 0, 0, after_s=0.5)
-    assert "released" in bench.expected
+    assert "released" in bench.events
 
 
 def test_a_go_before_activation_is_a_fault() -> None:
@@ -151,7 +151,7 @@ def test_a_removed_object_is_noticed(bench: Bench) -> None:
     bench.jaws.object_mm = None
     bench.wait(0.1)
     assert bench.force_n == 0.0
-    assert "empty" in bench.expected
+    assert "empty" in bench.events
 
 
 @pytest.fixture

@@ -97,9 +97,9 @@ def stopped_by(events: list[dict[str, object]]) -> str:
     """The first thing that made the arm stop."""
     for event in events:
         if event["event"] == "command" and event["what"] in ("stopl", "end"):
-            return "told through the script"
+            return "commanded through the script"
         if event["event"] == "dashboard" and event["asked"] == "stop":
-            return "told over the dashboard"
+            return "commanded over the dashboard"
         if event["event"] == "ended":
             return str(event["why"])
     return "nothing"
@@ -151,7 +151,7 @@ async def one_round(
     stood = next(event for event in controller.events if event["event"] == "stands")
     before = controller.events[: controller.events.index(stood)]
     scripts = sum(event["event"] == "script" for event in controller.events)
-    assert scripts <= 1, "nobody but open starts the script again"
+    assert scripts <= 1, "only open starts the script again"
     return Round(kind, stopped_by(before), seen_s - begun_s, float(str(stood["at_s"])) - begun_s, recovered_s)
 
 

@@ -1,4 +1,4 @@
-"""Guard mode next to somebody's program and a ROS-like RTDE client: neither is disturbed but by an intended pause."""
+"""Guard mode next to another program and a ROS-like RTDE client: neither is disturbed but by an intended pause."""
 
 from __future__ import annotations
 
@@ -280,7 +280,7 @@ async def test_local_control_is_reported() -> None:
     await controller.stop()
 
 
-async def test_lift_mode_beside_a_running_program_would_not_even_start(controller: UrEmulator) -> None:
+async def test_lift_mode_next_to_a_running_program_would_not_even_start(controller: UrEmulator) -> None:
     with pytest.raises(DeviceLost, match="a program is running or paused"):
         await lifting(HOST).open()
     await put_away()

@@ -113,7 +113,7 @@ async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: Lif
     assert await rests(controller)
     await lost(arm)
     assert arm._worker.pid is None, "ur-rtde would connect again by itself, and start its script"
-    assert len(controller.events("script")) == 1, "nobody but open starts the script again"
+    assert len(controller.events("script")) == 1, "only open starts the script again"
     controller.control("clear")
     await asyncio.sleep(0.05)
     await arm.open()

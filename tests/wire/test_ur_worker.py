@@ -1,4 +1,4 @@
-"""The arm's child process ends when nobody is left who could end it."""
+"""The arm's child process ends when its parent is gone."""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ def speed_of(controller: UrEmulator) -> float:
 
 
 def script_commands(controller: UrEmulator) -> list[str]:
-    """What the control script was told, in order."""
+    """Return the commands that the control script received, in order."""
     return [str(event["what"]) for event in controller.events("command")]
 
 

@@ -36,7 +36,7 @@ def connected(address: str) -> socket.socket:
 
 
 def exactly(link: socket.socket, count: int) -> bytes:
-    """So many bytes. Raises OSError ENODEV where the other end closes."""
+    """Read exactly this number of bytes. Raises OSError ENODEV where the other end closes."""
     data = b""
     while len(data) < count:
         piece = link.recv(count - len(data))

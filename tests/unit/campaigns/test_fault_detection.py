@@ -74,7 +74,7 @@ def test_without_an_excuse_a_fault_is_observable_at_once(name: str) -> None:
 def test_a_frame_sent_twice_is_borne_in_silence(finger: str) -> None:
     one = watched(f"{finger}.duplicate", rig())
     one.observable_s = 60.0
-    one.read_line("left: whatever is message")
+    one.read_line("left: any message")
     assert (one.due, one.unnamed, one.named_after_s) == (False, False, None)
 
 

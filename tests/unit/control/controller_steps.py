@@ -15,7 +15,7 @@ from slipguard.control.state import GraspState, Phase, Release
 COARSE = {
     "tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0, "first_fraction": 0.1, "first_multiplier": 1.5,
 }  # fmt: skip
-"""No level but those that hold whatever the arm does, and steps that follow from the present force alone."""
+"""Only thresholds that hold during any arm motion, and steps that follow from the present force alone."""
 PARAMS = guard_params(**COARSE)
 GUARD_MODE = guard_params(mode="guard", **COARSE)
 NOW_S = 10.0
@@ -58,7 +58,7 @@ def seen_in(phase: Phase, **changes: object) -> Observation:
 
 
 class Play:
-    """The law on a simple gripper and arm that do at once what they are given."""
+    """The controller on a simple gripper and arm that execute commands at once."""
 
     def __init__(self, params: GuardParams = PARAMS, guard: ControlState | None = None) -> None:
         self.params, self.guard, self.now_s = params, guard or ControlState(), 100.0

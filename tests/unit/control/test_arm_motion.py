@@ -24,8 +24,8 @@ from slipguard.control.state import GraspState, Phase
 
 LOWER = guard_params(on_force_limit="lower", probe_speed_mm_s=12.0, lower_speed_mm_s=30.0)
 SPENT = Fault(FaultCode.FORCE_LIMIT_REACHED, "slips on", "support it")
-TOLD = grasp_state(Phase.FAULT, ground_mm=10.0, fault=SPENT)
-DOWN = changed(TOLD, putting_down=True, goal_mm=10.0)
+FAULTED = grasp_state(Phase.FAULT, ground_mm=10.0, fault=SPENT)
+DOWN = changed(FAULTED, putting_down=True, goal_mm=10.0)
 SAID = StepOutput(messages=(Text.GRIPPED.message(),))
 LATE_S = 64.0
 """A power of two: sums and differences with the limits stay exact enough to try both sides."""
@@ -44,7 +44,7 @@ LATE_S = 64.0
     ],
 )
 def test_stop(moving: bool, known: bool, since_s: float, at_once: bool, stops: bool) -> None:
-    state = changed(TOLD, arm_commanded_s=0.0)
+    state = changed(FAULTED, arm_commanded_s=0.0)
     view = observation(since_s, arm=arm(50.0, moving=moving) if known else None)
     after, command = stop(state, view, SAID, at_once=at_once)
     assert command == (changed(SAID, arm=StopArm()) if stops else SAID)
@@ -67,12 +67,12 @@ def test_stop(moving: bool, known: bool, since_s: float, at_once: bool, stops: b
 )
 def test_ended(moving: bool, measured_s: float, now_s: float, sent_s: float, is_ended: bool) -> None:
     here = arm(50.0, moving=moving, at_s=measured_s)
-    assert has_ended(changed(TOLD, arm_commanded_s=sent_s), here, now_s) is is_ended
+    assert has_ended(changed(FAULTED, arm_commanded_s=sent_s), here, now_s) is is_ended
 
 
 @pytest.mark.parametrize("code", FaultCode)
 def test_what_is_put_down(code: FaultCode) -> None:
-    state = changed(TOLD, fault=Fault(code, "seen", "do"))
+    state = changed(FAULTED, fault=Fault(code, "seen", "do"))
     after, command = put_down((state, SAID), observation(5.0, arm=arm(60.0)), LOWER)
     if code not in (FaultCode.FORCE_LIMIT_REACHED, FaultCode.ROTATED_TOO_FAR):
         assert (after, command) == (state, SAID)
@@ -83,21 +83,21 @@ def test_what_is_put_down(code: FaultCode) -> None:
 
 def test_it_goes_no_faster_than_a_lowering() -> None:
     slow = guard_params(on_force_limit="lower", probe_speed_mm_s=40.0, lower_speed_mm_s=30.0)
-    _, command = put_down((TOLD, SAID), observation(5.0, arm=arm(60.0)), slow)
+    _, command = put_down((FAULTED, SAID), observation(5.0, arm=arm(60.0)), slow)
     assert command.arm == LiftArm(-50.0, 30.0)
 
 
 @pytest.mark.parametrize(
     ("state", "height_mm", "params", "says"),
     [
-        (changed(TOLD, fault=None), 60.0, LOWER, None),
-        (changed(TOLD, person_near=True), 60.0, LOWER, None),
-        (TOLD, 60.0, GuardParams(), None),
-        (TOLD, 60.0, LOWER.model_copy(update={"mode": "guard"}), None),
-        (TOLD, 10.0, LOWER, None),
-        (TOLD, 10.0 + REACHED_MM - 0.125, LOWER, None),
-        (TOLD, None, LOWER, Text.NO_WAY_DOWN),
-        (changed(TOLD, ground_mm=None), 60.0, LOWER, Text.NO_WAY_DOWN),
+        (changed(FAULTED, fault=None), 60.0, LOWER, None),
+        (changed(FAULTED, person_near=True), 60.0, LOWER, None),
+        (FAULTED, 60.0, GuardParams(), None),
+        (FAULTED, 60.0, LOWER.model_copy(update={"mode": "guard"}), None),
+        (FAULTED, 10.0, LOWER, None),
+        (FAULTED, 10.0 + REACHED_MM - 0.125, LOWER, None),
+        (FAULTED, None, LOWER, Text.NO_WAY_DOWN),
+        (changed(FAULTED, ground_mm=None), 60.0, LOWER, Text.NO_WAY_DOWN),
     ],
 )
 def test_where_the_arm_stands(
@@ -110,7 +110,7 @@ def test_where_the_arm_stands(
 
 
 def test_at_the_very_limit_there_is_a_way() -> None:
-    after, _ = put_down((TOLD, SAID), observation(5.0, arm=arm(10.0 + REACHED_MM)), LOWER)
+    after, _ = put_down((FAULTED, SAID), observation(5.0, arm=arm(10.0 + REACHED_MM)), LOWER)
     assert after.arm.putting_down
 
 

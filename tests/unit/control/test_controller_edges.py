@@ -111,18 +111,18 @@ def test_an_invalid_number_gives_no_rotation(bad: dict[str, object]) -> None:
     assert answer is not None
     assert answer.rotation_deg is answer.sigma_deg is answer.rate_deg_s is answer.shift_mm is None
     assert "left finger: not a number" in (answer.declined or "")
-    beside = fuse(one, estimate(-4.0, 0.5))
-    assert beside is not None
-    assert (beside.rotation_deg, beside.fingers) == (4.0, ("right",))
+    with_right = fuse(one, estimate(-4.0, 0.5))
+    assert with_right is not None
+    assert (with_right.rotation_deg, with_right.fingers) == (4.0, ("right",))
 
 
 @pytest.mark.parametrize("bad", [{"captured_at_s": float("nan")}, {"measured_at_s": float("inf")}])
 def test_without_a_time_a_finger_gives_nothing(bad: dict[str, float]) -> None:
     one = changed(estimate(3.0, 0.5), **bad)  # type: ignore[arg-type]
     assert fuse(one, None) is None
-    beside = fuse(one, estimate(-4.0, 0.5))
-    assert beside is not None
-    assert (beside.left_contact, beside.fingers) == (None, ("right",))
+    with_right = fuse(one, estimate(-4.0, 0.5))
+    assert with_right is not None
+    assert (with_right.left_contact, with_right.fingers) == (None, ("right",))
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 180.0])

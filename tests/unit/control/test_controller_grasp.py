@@ -134,7 +134,7 @@ def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
     assert "round contact" in (play.grasp.held.no_estimate or "")
     assert isinstance(play.step(RequestKind.LIFT).arm, LiftArm)
     play.steps(3.0)
-    assert play.grasp.phase is Phase.HOLDING  # nobody asks for a rotation that never could be given
+    assert play.grasp.phase is Phase.HOLDING  # no rotation is required if it never could be estimated
 
 
 def test_without_a_reference_it_refuses_the_lift_in_words() -> None:

@@ -158,7 +158,7 @@ def test_a_fault_stops_the_arm_and_only_clear_or_release_leave_it(
 
 @settings(max_examples=100)
 @given(phases, stories, moments, st.lists(moments, max_size=30), modes)
-def test_a_release_is_granted_whatever_has_happened(
+def test_a_release_is_granted_after_any_history(
     phase: Phase,
     story: list[tuple[tuple[float, Observation], ControlRequest]],
     last: tuple[float, Observation],

@@ -127,7 +127,7 @@ def test_tightening_that_does_not_help_stops_as_ever() -> None:
         pytest.param(lambda at: None, id="arm gone"),
     ],
 )
-def test_whatever_else_goes_wrong_stops_it_for_good(here: object) -> None:
+def test_any_other_fault_stops_it_for_good(here: object) -> None:
     play = Lifted(LOWER)
     play.spend()
     play.steps(1.0)

@@ -21,7 +21,7 @@ ASKED_N = pytest.approx(110.0, abs=0.85)
 
 
 def restarted(before: RememberedGrip | None, **changes: object) -> Play:
-    """A new law in front of what is held with 40 N."""
+    """A new controller for an object that is held with 40 N."""
     grasp = grasp_state(remembered=before, **changes)  # type: ignore[arg-type]
     play = Play(guard=ControlState(grasp))
     play.jaws, play.view, play.here = gripper(40.0), fused(), arm(60.0)
@@ -102,7 +102,7 @@ def test_it_is_not_repeated_while_a_person_may_be_near() -> None:
 def test_a_force_is_applied_once_the_gripper_confirms_it_at_rest(jaws: GripperState, is_taken: bool) -> None:
     held = grasp_state(Phase.HOLDING, target_n=110.0, commanded_s=10.0)
     assert force_applied(held, jaws) is is_taken
-    assert force_applied(changed(held, commanded_s=float("-inf")), jaws), "it was told nothing since the restart"
+    assert force_applied(changed(held, commanded_s=float("-inf")), jaws), "no command was sent since the restart"
 
 
 def test_jaws_still_on_their_way_are_waited_for() -> None:
@@ -242,16 +242,16 @@ def test_what_never_comes_back_is_a_fault_as_while_holding(view: Observation, co
     assert play.grasp.phase is Phase.HOLDING
 
 
-@pytest.mark.parametrize("heard", [True, False])
-def test_a_finger_received_since_the_start_has_the_usual_timeout(heard: bool) -> None:
+@pytest.mark.parametrize("received", [True, False])
+def test_a_finger_received_since_the_start_has_the_usual_timeout(received: bool) -> None:
     guard, silent_s = ControlState(grasp_state(remembered=ASKED)), 0.0
     while guard.grasp.phase is Phase.IDLE:
-        gone = changed(NEVER, age_s=silent_s) if heard else NEVER
+        gone = changed(NEVER, age_s=silent_s) if received else NEVER
         guard, _ = control_step(guard, observation(100.0 + silent_s, fused=None, left=gone, right=NEVER), PARAMS)
         silent_s += 0.05
     assert guard.grasp.fault is not None
     assert guard.grasp.fault.code is FaultCode.FRAMES_LOST
-    assert silent_s == pytest.approx(PARAMS.tuning.frames_timeout_s if heard else DEVICE_START_S, abs=0.06)
+    assert silent_s == pytest.approx(PARAMS.tuning.frames_timeout_s if received else DEVICE_START_S, abs=0.06)
 
 
 def test_a_gripper_received_since_the_start_has_the_usual_timeout() -> None:

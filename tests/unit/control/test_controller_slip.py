@@ -299,7 +299,7 @@ def test_rotated_too_far_applies_the_force_limit() -> None:
 
 
 def test_no_force_is_added_near_a_person() -> None:
-    """In a protective or emergency stop somebody may be in the jaws, also while the arm no longer says so."""
+    """In a protective or emergency stop a person may be in the jaws, also while the arm no longer says so."""
     play = Play().held()
     play.here = arm(emergency=True)
     play.slips(4.0)

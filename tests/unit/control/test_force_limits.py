@@ -51,7 +51,7 @@ def test_forces_are_rounded_up_and_kept_within() -> None:
     assert within.allowed(0.0, 0.0) == 20.0
     assert within.allowed(999.0, 0.0) == within.high_n
     assert within.allowed(40.0, 90.0) == 90.0
-    assert within.allowed(40.0, 200.0) == 200.0  # adopted from somebody else's grip
+    assert within.allowed(40.0, 200.0) == 200.0  # adopted from another program's grip
     assert within.allowed(60.0, 0.0) >= 60.0
 
 

@@ -49,7 +49,7 @@ def test_a_close_not_yet_taken_up_is_halted_too() -> None:
 
 @pytest.mark.parametrize("says_it_holds", [True, False])
 def test_an_interrupted_closing_must_be_requested_again(says_it_holds: bool) -> None:
-    """A gripper halted on its way may hold something, and says so where it cannot tell."""
+    """A gripper halted on its way may hold something, and reports so if that is unknown."""
     play = closing()
     play.here = STOPPED
     play.step()

@@ -16,7 +16,7 @@ from slipguard.control.state import Phase
 
 
 def lifting(params: GuardParams = PARAMS) -> Play:
-    """The arm on its way up, or (guard mode) somebody else's."""
+    """The arm on its way up, or (guard mode) another program's."""
     play = Play(params)
     if params.mode == "guard":
         play.step()
@@ -108,7 +108,7 @@ def test_an_arm_that_has_stood_is_free_while_the_jaws_still_open() -> None:
 
 
 def stuck() -> Play:
-    """Asked to let go, not opened: a fault, with the object still there."""
+    """A release was requested, but the jaws did not open: a fault, with the object still there."""
     play = Play().held()
     play.step(RequestKind.RELEASE)
     for _ in range(110):

@@ -116,17 +116,17 @@ def test_the_offset_between_fingers_is_the_smaller_of_two_frames(
 
 
 @pytest.mark.parametrize(
-    ("told_deg", "rotation_deg", "rate_deg_s", "by_deg"),
+    ("estimated_deg", "rotation_deg", "rate_deg_s", "by_deg"),
     [(5.0, 5.4, 0.0, 0.4), (5.3, 5.4, 0.0, 0.1), (4.8, 5.1, 0.0, 0.1), (5.3, 5.0, 0.0, 0.0), (5.0, 5.6, 10.0, 0.1)],
 )
 def test_at_rest_the_offset_is_the_smaller_from_resting_angle_and_last_estimate(
-    told_deg: float, rotation_deg: float, rate_deg_s: float, by_deg: float
+    estimated_deg: float, rotation_deg: float, rate_deg_s: float, by_deg: float
 ) -> None:
     """At rest at 5 degrees, given last with some noise."""
-    before = at_rest(5.0, last_deg=told_deg)
+    before = at_rest(5.0, last_deg=estimated_deg)
     after = assess_slip(before, observation(rotation_deg, rate_deg_s, fingers=("left",)), PARAMS, arm=stands()).memory
     assert after.baselines.episode_deg == pytest.approx(5.0 + by_deg)
-    assert after.fingers.switch == FingerSwitch(told_deg, 10.0, 5.0, pytest.approx(by_deg), NOW_S)
+    assert after.fingers.switch == FingerSwitch(estimated_deg, 10.0, 5.0, pytest.approx(by_deg), NOW_S)
 
 
 def test_both_frames_together_move_no_further_than_the_largest_offset() -> None:
@@ -145,7 +145,7 @@ def test_the_second_frame_is_a_new_measurement_of_every_finger() -> None:
 
 
 def follow(before: SlipMemory, given: list[tuple[tuple[str, ...], float]]) -> list[SlipAssessment]:
-    """Frame after frame at 60 a second, at rest: who tells it, and what."""
+    """Assess frame after frame at 60 per second, at rest, from these fingers and rotations."""
     looks: list[SlipAssessment] = []
     for k, (fingers, rotation_deg) in enumerate(given, 1):
         at_s = NOW_S + k / 60.0
@@ -270,7 +270,7 @@ def test_by_default_a_grip_is_not_firm_and_rotation_back_is_slip() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rotation_deg", "told_deg", "fingers", "frames"),
+    ("rotation_deg", "estimated_deg", "fingers", "frames"),
     [
         (5.39, 5.2, ("left", "right"), 0),
         (5.41, 5.2, ("left", "right"), 1),
@@ -284,10 +284,10 @@ def test_by_default_a_grip_is_not_firm_and_rotation_back_is_slip() -> None:
     ],
 )
 def test_how_many_frames_a_sudden_rotation_counts_in_a_lift_off(
-    rotation_deg: float, told_deg: float, fingers: tuple[str, ...], frames: int
+    rotation_deg: float, estimated_deg: float, fingers: tuple[str, ...], frames: int
 ) -> None:
     lifting = {"case": ArmCase.LIFT_OFF, "aloft": False, "previous_deg": None, "before_motion_deg": None}
-    before = at_rest(5.0, last_deg=told_deg, names=fingers, **lifting)
+    before = at_rest(5.0, last_deg=estimated_deg, names=fingers, **lifting)
     sight = assess_slip(
         before, observation(rotation_deg, fingers=fingers), PARAMS, arm=arm(10.0, moving=True, at_s=NOW_S)
     )

@@ -23,7 +23,7 @@ FORCE_LIMIT_N = 129.6
 def slipping(
     rotation_deg: float = 4.0, rate_deg_s: float = 60.0, slip_mm: float = 0.0, since_s: float = 1.0
 ) -> SlipEpisode:
-    """Tightened so long ago, at this rotation and rate."""
+    """Tightened since_s ago, at this rotation and rate."""
     return SlipEpisode(NOW_S - since_s, NOW_S - since_s, rotation_deg, rate_deg_s, slip_mm, rotates=True, raised=True)
 
 

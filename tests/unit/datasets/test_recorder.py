@@ -40,7 +40,7 @@ def test_the_proposed_mask_is_a_useful_start(name: str) -> None:
 
 
 @pytest.mark.parametrize("light", [LightChange(), LightChange(offset_bgr=(6.0, -5.0, 4.0), tilt_bgr=(5.0, -4.0, 6.0))])
-def test_an_untouched_gel_has_no_proposal_whatever_the_light_does(light: LightChange) -> None:
+def test_an_untouched_gel_has_no_proposal_under_any_light_change(light: LightChange) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     camera.set_light(light)
     assert not propose_mask(camera.draw(GelView("bar")), camera.no_contact()).any()
@@ -91,7 +91,7 @@ async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pyt
             await anext(from_daemon(client, ["left"], 0.01))
 
 
-async def test_without_a_daemon_the_sensor_is_opened_and_let_go() -> None:
+async def test_without_a_daemon_the_sensor_is_opened_and_closed() -> None:
     sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("sensor"), found, PipeCapture)
     shots = from_sensors([sensor], 0.0)
     waiting = asyncio.ensure_future(anext(shots))

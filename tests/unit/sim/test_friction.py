@@ -38,7 +38,7 @@ def test_pressure_shape_rejects_invalid_exponents(k: float) -> None:
         pressure_shape(k)
 
 
-def test_torque_limit_is_the_published_law() -> None:
+def test_torque_limit_is_the_published_formula() -> None:
     expected = 2 * 0.8 * 0.3177 * 4.353e-3 * 20.0**1.2569
     assert torque_limit_n_m(20.0, 0.8, GEL) == pytest.approx(expected, rel=1e-4)
     assert torque_limit_n_m(0.0, 0.8, GEL) == 0.0

@@ -43,7 +43,7 @@ def torsion_m(force_n: float, friction: float) -> float:
 
 
 def in_mujoco(mujoco: Any, item: SimObject, force: Callable[[float], float], seconds: float) -> float:
-    """The turn in degrees after so long with the weight on it."""
+    """The rotation in degrees after a time with the weight on it."""
     text = MODEL.format(
         step=STEP_S, mu=item.friction, torsion=torsion_m(force(0.0), item.friction), lever=1e-3 * item.com_offset_mm,
         mass=item.mass_kg, inertia=item.inertia_kg_m2,
