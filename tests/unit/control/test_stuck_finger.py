@@ -23,7 +23,7 @@ from slipguard.perception.skipping import repeat_estimate, second_finger_can_ski
 PARAMS = GuardParams()
 FRAME_S = 1 / 60
 REST_S = 1.0
-"""At rest for so long before the slip begins."""
+"""Time at rest before the slip begins."""
 NOTICED_S = 0.25
 
 
