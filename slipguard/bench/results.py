@@ -135,7 +135,7 @@ class BenchReport:
     notes: tuple[str, ...] = ()
 
     def reference(self, resolution: str) -> BenchRow | None:
-        """Return the row of the paper's pipeline that times are compared with; None if there is none of this size.
+        """Return the row of the paper's pipeline that times are compared with; None without a row of this size.
 
         It uses the first such network of the peers, on its fastest number of threads.
         """

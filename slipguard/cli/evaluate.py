@@ -276,7 +276,7 @@ def _run_on_cell(
     from slipguard.evaluation.real_lifts import daemon_socket_held, run_on_cell
 
     if config is None or plan is None or intrinsics is None:
-        raise InputError("a real cell needs --config, --protocol and --intrinsics; --sim needs none of them")
+        raise InputError("a real cell needs --config, --protocol and --intrinsics; --sim does not need them")
     settings = read_config(config)
     service, lens = build_service(settings), read_intrinsics(intrinsics)
     service.observers.append(

@@ -1,4 +1,4 @@
-"""Reload the configuration while the service runs: all of the new one takes effect, or none of it.
+"""Reload the configuration while the service runs: the new one takes effect as a whole or not at all.
 
 The guard's limits and thresholds, the recordings and the log's level take effect at once. Drivers and sensors,
 perception, the loop, the API and the state directory are set up at the start and need a restart. While the jaws or the

@@ -23,7 +23,7 @@ Model = Annotated[Path | None, typer.Option(help="Segmentation network (.onnx); 
 
 @app.callback()
 def top() -> None:
-    """Run a long measurement. None of this is part of the installed package.
+    """Run a long measurement. It is not part of the installed package.
 
     Example: `python -m tests.campaigns soak --hours 8`, `python -m tests.campaigns faults --runs 1000`
     """

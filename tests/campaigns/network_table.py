@@ -1,4 +1,4 @@
-"""Networks side by side on rendered grasps that none of them was trained on.
+"""Networks side by side on rendered grasps that were not used to train them.
 
 Each file runs as in the product: the whole 240x320 frame as input, one thread, the output enlarged to the frame and cut
 at the network's own threshold. The frames are those of `slipguard bench`: rendered grasps of the ten test objects.

@@ -34,7 +34,7 @@ from slipguard.sim.world import World, WorldSettings
 class Cell:
     """One service on a world of its own (or on the one it is given, as after a restart).
 
-    guard, loop: sections of the configuration. blind: finger -> why it declines every turn. threads: real workers
+    guard, loop: sections of the configuration. blind: finger -> why it declines every cycle. threads: real workers
     instead of a stated latency, for the real clock. watched: the grip is compared with the truth at every tick.
     """
 

@@ -32,7 +32,7 @@ SIGMA_DEG = 0.4
 NOISE_MM = 0.03
 STABLE_FRAMES = 5
 SWING_DEG_S = 25.0
-ALPHA, BETA = 0.5, 0.15  # turn and rate gain of the tracker's filter
+ALPHA, BETA = 0.5, 0.15  # rotation and rate gain of the tracker's filter
 Image = NDArray[np.uint8]
 
 
@@ -81,7 +81,7 @@ class FlatSensor(FakeSensor):
 class Oracle:
     """A perceiver that knows the truth, with the noise, the reference and the declining of the real one.
 
-    always_touched: it sees contact where there is none. swings_since_s: it sees the object turn, though it rests.
+    always_touched: it sees contact where there is none. swings_since_s: it sees the object rotate, though it rests.
     """
 
     def __init__(self, pictures: Pictures, sign: float, rng: np.random.Generator, blind: str | None) -> None:

@@ -152,7 +152,7 @@ def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str)
 
 
 def swing(cell: Cell) -> None:
-    """From now on both fingers see the object turn."""
+    """From now on both fingers see the object rotate."""
     for made in cell.perceivers.values():
         made[-1].swings_since_s = cell.now_s
 

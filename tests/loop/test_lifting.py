@@ -20,7 +20,7 @@ BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "tuning": {"lower_spe
 def carried(
     object_name: str, seed: int, controller: Controller = control_step, height_mm: float = 60.0
 ) -> tuple[Cell, list[float]]:
-    """Grasp, lift, hold for a second, lower, release; all turns on the way."""
+    """Grasp, lift, hold for a second, lower, release; return all rotations on the way."""
     rotations: list[float] = []
 
     async def scene(cell: Cell) -> None:

@@ -98,7 +98,7 @@ def test_what_is_asked_of_a_service_that_stops_is_refused() -> None:
 
 @pytest.mark.parametrize("first", ["left", "gripper", "arm"])
 def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
-    """The new service finds the devices in another order each time; none of it loosens the grip or needs a person."""
+    """The new service finds the devices in another order each time; this neither loosens the grip nor needs help."""
 
     async def main() -> None:
         world = World(seed=1)

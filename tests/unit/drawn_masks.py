@@ -19,7 +19,7 @@ def drawn(
     ragged_px: float = 0.0,
     seed: int = 0,
 ) -> NDArray[np.float32]:
-    """Probability (160, 120) float32 of a shape turned counter-clockwise about its own origin.
+    """Probability (160, 120) float32 of a shape rotated counter-clockwise about its own origin.
 
     centre: network pixels, right and down. ragged_px: standard deviation of the outline's place.
     """

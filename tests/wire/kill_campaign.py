@@ -56,7 +56,7 @@ class Kill:
 
     @property
     def rotation_kept(self) -> bool:
-        """The turn is reported from where the object was gripped, not from where the daemon was killed."""
+        """The rotation counts from where the object was gripped, not from where the daemon was killed."""
         return abs(self.estimated_deg - self.true_deg) < KEPT_DEG
 
 
@@ -127,7 +127,7 @@ def estimated_firm(state: dict[str, Any]) -> bool:
 
 
 def guarded_at_s(process: Process) -> float:
-    """When a fresh daemon began to guard what it found held, by its log: the turn is seen, slip is acted on."""
+    """When a fresh daemon began to guard the held object, by its log: rotation is estimated, slip is acted on."""
 
     def lines() -> list[dict[str, Any]]:
         assert process.running, process.said
@@ -162,5 +162,5 @@ def report(kills: list[Kill], folder: Path) -> str:
     return (
         f"{len(kills)} kills in {phases}: all held; guarding again after p50 {p50:.2f} s, p99 {p99:.2f} s, longest "
         f"{times[-1]:.2f} s (its own work p50 {cpu[len(cpu) // 2]:.2f} s; {os.cpu_count()} cores, load "
-        f"{os.getloadavg()[0]:.1f}); turn counted on within {KEPT_DEG:g}° in {kept}"
+        f"{os.getloadavg()[0]:.1f}); rotation counted on within {KEPT_DEG:g}° in {kept}"
     )

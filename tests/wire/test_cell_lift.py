@@ -1,6 +1,6 @@
 """A whole guarded lift on the wire: the daemon, the emulated cell, the real drivers between them, in both modes.
 
-Without the guard this object turns and falls: it needs more force than the first grip gives.
+Without the guard this object rotates and falls: it needs more force than the first grip gives.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def put_down(client: Client) -> None:
 
 
 def check(cell: Cell) -> list[dict[str, Any]]:
-    """Held, the turn arrested, and the grip only ever risen while it was up."""
+    """Held, the rotation arrested, and the grip only ever risen while it was up."""
     truth = cell.truth()
     assert not [line for line in truth if line["dropped"]], "it fell"
     up = [line for line in truth if line["height"] > 1.0]
@@ -88,7 +88,7 @@ def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
             wait_for(client, lambda state: state["arm"]["height_mm"] > 75.0, "the program does not lift")
             pause(0.3)
             check(there)
-            assert there.events("paused"), "the arm was never stopped, although the object turned"
+            assert there.events("paused"), "the arm was never stopped, although the object rotated"
             wait_for(client, lambda state: state["arm"]["height_mm"] < 1.0, "the program does not come down")
             assert not there.events("released")
             put_down(client)

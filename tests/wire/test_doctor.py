@@ -32,7 +32,7 @@ TIMING = {"frame rate", "lost frames", "round trip", "RTDE rate"}
 
 @dataclass(frozen=True)
 class DoctorReport:
-    """What the doctor said: exit code, and by subject and thing the verdict, what was seen and what to do."""
+    """The doctor's report: exit code, and by subject and check the status, what was observed and what to do."""
 
     code: int
     lines: dict[tuple[str, str], tuple[str, str, str]]

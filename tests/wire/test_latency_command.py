@@ -13,7 +13,7 @@ from tests.campaigns.command_line import run as run_campaign
 
 @pytest.mark.campaign
 def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
-    """Whether a moment's p99 rises is chance; that both were served and the verdict is that of the figures is not."""
+    """Both clients are served and the exit code follows from the figures; whether the p99 rises is chance."""
     code = run_campaign(["api-load", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
     expected = capfd.readouterr()
     found = json.loads(expected.out)

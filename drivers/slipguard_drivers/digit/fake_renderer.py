@@ -60,7 +60,7 @@ class GelRenderer:
 
 
 class Renderer(Protocol):
-    """Turns a request into an image, now or later."""
+    """Renders a request to an image, now or later."""
 
     async def start(self) -> None:
         """Prepare. Raises DeviceTimeout or DeviceLost."""

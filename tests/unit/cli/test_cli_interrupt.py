@@ -62,7 +62,7 @@ def children(pid: int) -> list[int]:
 
 
 def gone(pids: list[int]) -> bool:
-    """Whether none of the processes runs any more, now or soon."""
+    """Return whether all processes have ended, now or soon."""
     deadline_s = time.monotonic() + SLOW_S
     while any(Path(f"/proc/{pid}").exists() for pid in pids):
         if time.monotonic() > deadline_s:

@@ -50,7 +50,7 @@ def test_measure_plots_its_results(tmp_path: Path, capfd: pytest.CaptureFixture[
     camera = GelCamera(SensorUnit.default(), seed=7)
     for name, view in (("bg", GelView("", depth_mm=-1.0)), ("bar", GelView("bar", angle_deg=20.0, depth_mm=0.8))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), camera.draw(view))
-    plot, masks = tmp_path / "turn.png", tmp_path / "masks"
+    plot, masks = tmp_path / "rotation.png", tmp_path / "masks"
     words = ["measure", tmp_path / "bar.png", "--background", tmp_path / "bg.png", "--json", "--masks", masks]
     assert run([str(word) for word in (*words, "--plot", plot)]) == 0
     assert [json.loads(line)["contact"] for line in capfd.readouterr().out.splitlines()] == [True]

@@ -93,7 +93,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
         {"rotation": ROTATION | {"rotation_deg": None, "sigma_deg": None, "declined": "round contact"}},
         "no estimate: round",
     ),
-    "no turn": ({"rotation": None}, "no fresh frames from either finger"),
+    "no rotation": ({"rotation": None}, "no fresh frames from either finger"),
     "contradiction": ({"rotation": ROTATION | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
     "not guarding": ({"guarding": False}, "not guarding"),
     "held and idle": (

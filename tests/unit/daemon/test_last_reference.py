@@ -1,4 +1,4 @@
-"""What turns are counted from survives the daemon: kept while something is held, tried by the next one, forgotten."""
+"""The reference of the rotation survives the daemon: kept while an object is held, tried by the next one, forgotten."""
 
 from __future__ import annotations
 

@@ -58,11 +58,11 @@ def rotation(source: Path, camera: Path, *more: str) -> int:
 
 
 def test_a_video_gives_the_rotation(tmp_path: Path, camera: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert rotation(video(tmp_path / "a.avi"), camera, "--json", "--plot", str(tmp_path / "turn.png")) == 0
+    assert rotation(video(tmp_path / "a.avi"), camera, "--json", "--plot", str(tmp_path / "rotation.png")) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(lines) == 24
     assert lines[-1]["turn_deg"] == pytest.approx(20.0, abs=0.3)
-    assert cv2.imread(str(tmp_path / "turn.png")) is not None
+    assert cv2.imread(str(tmp_path / "rotation.png")) is not None
 
 
 def test_a_folder_of_images_gives_the_rotation(

@@ -28,7 +28,7 @@ ROTATIONS_DEG = (2.0, 4.0, 8.0, 12.0)
 
 
 def shown(rotation_deg: float, levels: float) -> tuple[NDArray[np.uint8], Patch]:
-    """Letters that turn under dirt that stays where it is."""
+    """Letters that rotate under dirt that stays where it is."""
     height = heights(lettered, 15.0 + rotation_deg, (120.0, 160.0), 1.0)
     patch = find_patch(contact_map(height), 0.5, 100, 2.0)
     assert patch is not None

@@ -33,7 +33,7 @@ NO_AXIS = RotationEstimate(None, None, "round contact")
 
 
 def becoming(share: float) -> Surface:
-    """Letters of which one more and more gives way to another object's edges, which turn with them."""
+    """Letters of which one more and more gives way to another object's edges, which rotate with them."""
 
     def surface(u: Heights, v: Heights) -> Heights:
         return np.asarray((1.0 - share) * lettered(u, v) + share * plate(u, v), np.float32)

@@ -1,4 +1,4 @@
-"""Turns and frames to record, and a disk that fills up."""
+"""Cycles and frames to record, and a disk that fills up."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class Counted(Recorder):
 
 @dataclass
 class Playing:
-    """A recorder that is handed turns one by one, with a picture each, and has written each before the next."""
+    """A recorder that is handed cycles one by one, with an image each, and has written each before the next."""
 
     recorder: Counted
     said: list[str]

@@ -86,7 +86,7 @@ def test_the_handle_is_clipped_by_the_frame() -> None:
 
 
 def test_no_test_shape_is_among_the_training_shapes() -> None:
-    """Best match over turns, of the surface to a common depth: well below that of a shape with itself."""
+    """Best match over rotations, of the surface to a common depth: well below that of a shape with itself."""
     train = {name: height_raster_of(name).coarse for name in object_names("train")}
     for name in object_names("test"):
         mine = np.maximum(height_raster_of(name).coarse, -0.8)

@@ -62,7 +62,7 @@ async def rates(seconds: float) -> dict[str, object]:
 
 
 def draw_pictures() -> None:
-    """Something for the emulated sensors to send that is quickly drawn: a bar that turns, in noise."""
+    """Something for the emulated sensors to send that is quickly drawn: a bar that rotates, in noise."""
     for seed, serial in enumerate(SERIALS):
         folder = IMAGES / serial
         folder.mkdir(parents=True)
