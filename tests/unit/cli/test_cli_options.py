@@ -136,6 +136,6 @@ def test_import_skips_incomplete_pairs(tmp_path: Path, capfd: pytest.CaptureFixt
         cv2.imwrite(str(path), cv2.circle(drawn[..., 0] * 0, (60, 80), 40, 255, -1) if "masks" in name else drawn)
     words = ["dataset", "import", str(tmp_path / "in"), "--out", str(tmp_path / "out")]
     assert run(words) == 2
-    assert "give --skip" in capfd.readouterr().err
+    assert "use --skip" in capfd.readouterr().err
     assert run([*words, "--skip"]) == 0
     assert capfd.readouterr().out.startswith("1 frame")
