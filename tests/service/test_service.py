@@ -89,7 +89,7 @@ def test_installing_twice_changes_nothing(container: Container, config: Path) ->
     assert first.returncode == 0, first.stderr
     assert f"ExecStart={PROGRAM} run" in (container.tree / "etc/systemd/system" / UNIT).read_text()
     second = container.run(PROGRAM, "install", "--config", "/srv/config.toml")
-    assert second.stdout.count("in place already") == 3
+    assert second.stdout.count("unchanged") == 3
     assert config.stat().st_mode & 0o777 == 0o644
 
 

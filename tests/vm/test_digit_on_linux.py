@@ -23,7 +23,7 @@ def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:
     else:
         pytest.fail(f"vivid at 60 frames per second: {seen}")
     assert seen["mode"] == "320x240 YUYV at 60 frames per second"
-    assert seen["remarks"] == ["the LEDs cannot be set (Invalid argument): led_rgb has no effect"], "vivid has none"
+    assert seen["remarks"] == ["the LEDs cannot be set (Invalid argument); led_rgb has no effect"], "vivid has none"
 
 
 def test_two_sensors_are_found_by_serial_with_leds_access_and_their_own_images(machine: Machine) -> None:

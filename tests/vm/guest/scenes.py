@@ -237,7 +237,9 @@ class Perceiving:
     def process(self, frame: Frame) -> Estimate:
         return Estimate(frame.sequence, frame.captured_at_s, frame.captured_at_s, False, 0, "none")
 
-    def stands(self, captured_at_s: float) -> None:
+    last_patch = None
+
+    def keep_estimate(self, captured_at_s: float) -> None:
         return
 
     def reset_reference(self) -> None:
@@ -250,15 +252,15 @@ async def replug(unplugged_s: float) -> dict[str, float]:
         finger = Finger("left", digit(fps=30), ThreadWorker("left"), lambda serial: Perceiving(), RETRY_S, lambda: None)
         running = asyncio.create_task(finger.run())
         try:
-            await until(lambda: finger.counts.frames > 10 and finger.health.ready)
+            await until(lambda: finger.capture.counts.frames > 10 and finger.health.ready)
             emulator.control("fault unplug")
             seen_s = await until(lambda: not finger.health.ready)
             await asyncio.sleep(unplugged_s)
             gone_from_system = not await asyncio.to_thread(connected_digits)
             emulator.control("clear")
-            before = finger.counts.frames
+            before = finger.capture.counts.frames
             await attach(emulator.port)
-            again_s = await until(lambda: finger.counts.frames > before)
+            again_s = await until(lambda: finger.capture.counts.frames > before)
         finally:
             running.cancel()
             await asyncio.gather(running, return_exceptions=True)
