@@ -35,16 +35,16 @@ def png(image: np.ndarray) -> bytes:
 
 BAD = {
     "empty": (b"", "the file is empty"),
-    "truncated": (png(gel())[:4000], "cut short"),
+    "truncated": (png(gel())[:4000], "truncated"),
     "1x1": (png(np.full((1, 1, 3), (9, 90, 200), np.uint8)), "1x1"),
-    "16-bit": (png(gel().astype(np.uint16) * 256), "16 bits a channel"),
+    "16-bit": (png(gel().astype(np.uint16) * 256), "16 bits per channel"),
     "grey": (png(gel()[..., 1]), "grey"),
     "half transparent": (png(np.dstack([gel(), np.full((320, 240), 90, np.uint8)])), "transparent"),
     "4K": (png(cv2.resize(gel(), (3840, 2160))), "3840x2160"),
     "all black": (png(np.zeros((320, 240, 3), np.uint8)), "all black"),
     "all white": (png(np.full((320, 240, 3), 255, np.uint8)), "all white"),
-    "NaN": (cv2.imencode(".tiff", np.full((320, 240, 3), np.nan, np.float32))[1].tobytes(), "32 bits a channel"),
-    "text": (b"not a picture", "no image can be decoded"),
+    "NaN": (cv2.imencode(".tiff", np.full((320, 240, 3), np.nan, np.float32))[1].tobytes(), "32 bits per channel"),
+    "text": (b"not a picture", "not a decodable image"),
 }
 
 

@@ -33,7 +33,7 @@ WRONG = {
     "measure": "missing argument 'paths'",
     "measure nowhere": "no such file or folder",
     "measure . --reference last": "'last' is not one of",
-    "check --config nowhere.toml": "no such file; config.toml in the project is a commented start",
+    "check --config nowhere.toml": "no such file; copy the commented config.toml of the project",
     "run --config nowhere.toml": "no such file",
     "run --config nowhere.toml --sim": "no such file",
     "run": "config.toml: no such file",
@@ -115,7 +115,7 @@ def test_a_configuration_with_a_byte_order_mark_is_read(capfd: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("given", "changed", "output"),
     [
-        ("D20479", "D 1", "left.digit.serial = 'D 1': letters and digits"),
+        ("D20479", "D 1", "left.digit.serial = 'D 1': must consist of letters and digits"),
         ("192.168.1.10", "a b", "arm.ur5.host = 'a b': must be a host name or an address, without blanks"),
         (
             "192.168.1.10",

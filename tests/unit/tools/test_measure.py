@@ -129,7 +129,7 @@ def test_the_table_the_summary_and_the_plot_are_written(rotating: Path, capsys: 
     plot = rotating.parent / "rotation.png"
     run([rotating], background=rotating.parent / "background.png", json=False, plot=plot)
     message = capsys.readouterr()
-    assert "14 frames, contact in 12" in message.out
+    assert "14 frames, 12 with contact" in message.out
     assert message.err == ""
     drawn = cv2.imread(str(plot))
     assert drawn.shape[0] > 300
