@@ -19,7 +19,7 @@ from run_order import REALTIME
 
 LIMIT_CORES = 0.3
 """Other programs may use this much of the cores on average, the kernel's own work included."""
-PROBE_S = 0.3
+PROBE_S = 0.1
 WAIT_S = 30.0
 """For a quiet machine, all tests of one run together."""
 NOT_JUDGED = "not judged: machine too busy"

@@ -30,6 +30,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.campaign
 def test_the_report_agrees_with_the_truth(experiment: Path) -> None:
     report = json.loads((experiment / "report.json").read_text())
     assert report["lifts"] == report["lifts_compared"] == 2
@@ -46,6 +47,7 @@ def test_the_report_agrees_with_the_truth(experiment: Path) -> None:
     assert (experiment / "errors.png").stat().st_size > 5000
 
 
+@pytest.mark.campaign
 def test_recorded_lifts_are_not_repeated(experiment: Path, capsys: pytest.CaptureFixture[str]) -> None:
     recordings = sorted((experiment / "lifts").glob("*.mcap"))
     before = [path.stat().st_mtime_ns for path in recordings]
@@ -57,6 +59,7 @@ def test_recorded_lifts_are_not_repeated(experiment: Path, capsys: pytest.Captur
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["lifts"] == 2
 
 
+@pytest.mark.campaign
 def test_another_protocol_is_refused_in_the_same_folder(experiment: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = experiment.parent / "other.toml"
     other.write_text(PROTOCOL.replace("repeats = 2", "repeats = 3"))
@@ -64,6 +67,7 @@ def test_another_protocol_is_refused_in_the_same_folder(experiment: Path, capsys
     assert "holds another experiment" in capsys.readouterr().err
 
 
+@pytest.mark.campaign
 def test_a_truncated_recording_is_one_line(
     experiment: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -60,6 +60,7 @@ def there(tmp_path: Path) -> Iterator[Cell]:
         yield made
 
 
+@pytest.mark.campaign
 def test_every_command_of_a_guarded_cell(there: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     terminal = Terminal(capfd, there)
     there.config.write_text(there.config.read_text().replace("[api]\n", f'[api]\nlisten = "{free_address()}"\n'))

@@ -42,6 +42,7 @@ def _short_grasps_of_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(HoldingScene, "shots", lambda self: islice(whole(self), 150))
 
 
+@pytest.mark.campaign
 def test_large_networks_process_the_same_grasps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipelines, "ESTIMATORS", ("fused", "moments"))
     monkeypatch.setattr(bench, "FULL_GRASPS", 2)
@@ -59,6 +60,7 @@ def test_large_networks_process_the_same_grasps(tmp_path: Path, monkeypatch: pyt
     assert timed_only.turn_error_mean_deg is None
 
 
+@pytest.mark.campaign
 def test_a_quick_bench_with_further_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "measure_skips", lambda *_: ())
     monkeypatch.setattr(bench, "compare_thinning", lambda *_, **__: ())

@@ -110,6 +110,7 @@ def test_the_error_model_takes_a_reference_and_has_the_given_errors() -> None:
     assert estimates[-1].declined is not None
 
 
+@pytest.mark.campaign
 def test_the_command_writes_json_and_plot(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
