@@ -48,6 +48,7 @@ def test_the_finger_runs_without_its_damaged_image(
     state.save_background("SIM-L", BackgroundImage(image, (2.0, 2.0, 2.0), 30))
     (stored,) = tmp_path.rglob(f"*.{ending}")
     damage(stored)
+    structlog.reset_defaults()  # a test before this one may have silenced the log
     config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
     service = build_service(config, world=World(seed=0))
     try:
