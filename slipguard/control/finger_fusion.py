@@ -17,11 +17,12 @@ SIGMA_FLOOR_DEG = 0.1
 AGREE_SIGMAS = 3.0
 """Rotations further apart than this many combined standard deviations disagree."""
 DIFFER_SIGMAS = 5.0
-"""Two fingers contradict each other if they are further apart than this many combined standard deviations,"""
+"""Two fingers contradict each other if they differ by more than this many combined standard deviations
+and by more than DIFFER_DEG plus DIFFER_SHARE of the larger rotation."""
 DIFFER_DEG = 3.0
-"""and than this: twice the difference of two fingers in lifts, elastic torsion of soft pads included (1.6 degrees),"""
+"""About twice the difference of two fingers in lifts, elastic torsion of soft pads included (1.6 degrees)."""
 DIFFER_SHARE = 0.1
-"""and this share of the larger rotation: a finger's error grows with it, by up to 4.5 % (one standard deviation)."""
+"""A finger's error grows with the rotation, by up to 4.5 % of it (one standard deviation)."""
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
 SIGMA_MAX_DEG = 180.0

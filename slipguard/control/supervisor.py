@@ -21,7 +21,9 @@ ARM_START_S = 5.0
 DEVICE_START_S = 2.0
 """Sensors and gripper that have not reported since the start get this time, or their timeout if that is longer."""
 LEFT_OUT_S = 0.6
-"""A contradiction is not settled by one finger without an estimate for this time: one left out is asked each 0.25 s."""
+"""If one finger stops giving estimates, a contradiction stays in force this long.
+
+A skipped finger is measured again every 0.25 s, so its silence is no agreement."""
 GAIN_MM = 1.0
 """Less height than this gained counts as none."""
 
