@@ -41,7 +41,10 @@ def have_we(port: str) -> bool:
 
 async def another_master(emulator: RobotiqEmulator, *, exclusive: bool) -> asyncio.subprocess.Process:
     """Another program that has the port open, with a lock on it or without."""
-    script = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=%s); print('open'); sys.stdin.read()"
+    script = (
+        "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=%s); "
+        "print('open', flush=True); sys.stdin.read()"
+    )
     other = await asyncio.create_subprocess_exec(
         *(sys.executable, "-c", script % exclusive, emulator.address), stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
