@@ -18,7 +18,6 @@ import secrets
 import socket
 import time
 from collections.abc import Callable
-from http.cookies import CookieError, SimpleCookie
 
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -59,8 +58,8 @@ class Access:
         return self._cookie if expires_s is not None and self._clock() < expires_s else None
 
     def is_known(self, headers: Headers) -> bool:
-        """Return whether the request has the token or the cookie."""
-        return self._has_token(headers) or self._has_cookie(headers)
+        """Return whether the request is for this server and has the token or the cookie."""
+        return self._names_this_server(headers) and (self._has_token(headers) or self._has_cookie(headers))
 
     def may_command(self, headers: Headers) -> bool:
         """Return whether the request has the token, or the cookie and the session key."""
@@ -70,7 +69,7 @@ class Access:
     def find_objection(self, scope: Scope, headers: Headers) -> str | None:
         """Return why a request is not meant for this server, or comes from another page; None if it is valid."""
         hosts = headers.getlist("host")
-        if len(hosts) != 1 or not self._is_own_host(hosts[0].lower()):
+        if not self._names_this_server(headers):
             return f"Host {hosts[0] if hosts else ''!r} is not this server; use {self._shown_host()}:{self._port}"
         origins = headers.getlist("origin")
         if origins and origins != [f"http://{hosts[0]}"]:
@@ -92,11 +91,13 @@ class Access:
         return kind.lower() == "bearer" and _equal(given.strip(), self._token)
 
     def _has_cookie(self, headers: Headers) -> bool:
-        try:
-            cookies = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return False
-        return COOKIE in cookies and _equal(cookies[COOKIE].value, self._cookie)
+        # Not `http.cookies`: up to Python 3.12.5 it needs seconds for some cookies (CVE-2024-7592).
+        pairs = (one.strip().partition("=") for one in headers.get("cookie", "").split(";"))
+        return any(name == COOKIE and _equal(value, self._cookie) for name, _, value in pairs)
+
+    def _names_this_server(self, headers: Headers) -> bool:
+        hosts = headers.getlist("host")
+        return len(hosts) == 1 and self._is_own_host(hosts[0].lower())
 
     def _is_own_host(self, host: str) -> bool:
         name, _, port = host.rpartition(":")
@@ -124,10 +125,11 @@ class AccessMiddleware:
             return
         headers = Headers(scope=scope)
         objection = self._access.find_objection(scope, headers)
-        may_command = self._access.may_command(headers)
         if objection is not None:
             await refuse(403, objection, scope, receive, send)
-        elif scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and not may_command:
+            return
+        may_command = self._access.may_command(headers)
+        if scope["type"] == "http" and scope["method"] not in ("GET", "HEAD") and not may_command:
             reason = "this request needs the token; `slipguard ctl page` prints a link that gives control"
             await refuse(401, reason, scope, receive, send)
         else:

@@ -1,7 +1,7 @@
 """Timeouts and limits of HTTP connections, and detection of clients that have disconnected.
 
 uvicorn waits without limit for a request that arrives byte by byte; a few hundred of those would use up the process's
-file descriptors.
+file descriptors. It also parses any headers that arrive in one read, up to 256 KiB.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 REQUEST_TIMEOUT_S = 10.0
 """From the first byte, or the start of the connection, to the end of the request's headers."""
+HEADERS_MAX_BYTES = 16 * 1024
+"""Of a request line with its headers: browsers send the cookies of every program on this host."""
+PIECE_BYTES = 4096
+"""The parser checks that limit after each piece."""
 CONNECTIONS_MAX = 128
 """One more closes the connection that has been idle longest; it is refused only if none is idle."""
 TOO_MANY_BODY = b'{"error": "too many connections"}'
@@ -25,8 +29,8 @@ TOO_MANY_HEAD = (
 _DISCONNECTED_KEY = "slipguard.disconnected"
 
 
-class TimeoutHttpProtocol(H11Protocol):
-    """uvicorn's HTTP/1.1 with a request timeout and a limit of connections."""
+class BoundedHttpProtocol(H11Protocol):
+    """uvicorn's HTTP/1.1 with a request timeout, a limit of the headers' size and a limit of connections."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
@@ -45,7 +49,10 @@ class TimeoutHttpProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._received_at_s = self.loop.time()
-        super().data_received(data)
+        for start in range(0, len(data), PIECE_BYTES):
+            if self.transport.is_closing() or self.transport.get_protocol() is not self:
+                break  # refused, or now a WebSocket, which may send nothing before our response
+            super().data_received(data[start : start + PIECE_BYTES])
         upgraded = self.transport.get_protocol() is not self
         if upgraded or self._responding:
             self._cancel_timeout()
@@ -65,7 +72,7 @@ class TimeoutHttpProtocol(H11Protocol):
 
         Without this, idle connections could lock out the operator.
         """
-        others = [one for one in self.connections if isinstance(one, TimeoutHttpProtocol) and one is not self]
+        others = [one for one in self.connections if isinstance(one, BoundedHttpProtocol) and one is not self]
         idle = [one for one in others if not one._responding and not one.transport.is_closing()]
         if not idle:
             return False

@@ -72,6 +72,16 @@ class ApiMiddleware:
         self._unknown_streams += change * unknown_stream
 
 
+def without_cookies(app: ASGIApp) -> ASGIApp:
+    """Return an ASGI app that receives no cookies: FastAPI would decode them for each route, in quadratic time."""
+
+    async def stripped(scope: Scope, receive: Receive, send: Send) -> None:
+        kept = [(name, value) for name, value in scope.get("headers", ()) if name != b"cookie"]
+        await app({**scope, "headers": kept}, receive, send)
+
+    return stripped
+
+
 async def refuse(status: int, reason: str, scope: Scope, receive: Receive, send: Send) -> None:
     """Respond to a request, or to a WebSocket's opening, with an error and close the connection."""
     if scope["type"] == "websocket" and "websocket.http.response" not in scope.get("extensions", {}):

@@ -12,8 +12,8 @@ from starlette.types import ASGIApp
 
 from slipguard.web.access import AccessMiddleware
 from slipguard.web.app import make_app
-from slipguard.web.connections import TimeoutHttpProtocol
-from slipguard.web.middleware import ApiMiddleware
+from slipguard.web.connections import HEADERS_MAX_BYTES, BoundedHttpProtocol
+from slipguard.web.middleware import ApiMiddleware, without_cookies
 from slipguard.web.route_context import RouteContext
 
 SHUTDOWN_TIMEOUT_S = 1
@@ -34,7 +34,7 @@ class _Server(uvicorn.Server):
 
 async def serve(context: RouteContext, unix: socket.socket, tcp: socket.socket | None = None) -> None:
     """Serve until cancelled. tcp: served only if the context has an `access`; commands need its token there."""
-    app = make_app(context)
+    app = without_cookies(make_app(context))
     servers = [(_make_server(ApiMiddleware(app)), unix)]
     if tcp is not None and context.access is not None:
         protected = AccessMiddleware(app, context.access)
@@ -59,7 +59,8 @@ def _make_server(app: ASGIApp) -> _Server:
     return _Server(
         uvicorn.Config(
             app,
-            http=TimeoutHttpProtocol,
+            http=BoundedHttpProtocol,
+            h11_max_incomplete_event_size=HEADERS_MAX_BYTES,
             ws="websockets-sansio",
             ws_max_size=WEBSOCKET_MESSAGE_MAX_BYTES,
             ws_per_message_deflate=False,  # on loopback, compressing takes longer than sending

@@ -7,6 +7,8 @@ import contextlib
 import json
 from pathlib import Path
 
+import h11
+import h11._readers
 import httpx
 import pytest
 from fake_daemon_api import FakeDaemonApi, served_on_tcp
@@ -14,6 +16,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from slipguard.web import commands, connections, middleware, serve
+from slipguard.web.access import Access
 from slipguard.web.middleware import ApiMiddleware
 
 
@@ -172,3 +175,59 @@ async def test_too_many_requests_get_status_503() -> None:
             "reason": "too many clients: 0 requests are being processed; try again later",
         }
     ]
+
+
+def hostile_cookies(size: int) -> list[str]:
+    """Cookies that a quadratic parser needs seconds for, below and above the limit of the headers."""
+    return ['slipguard="' + "\\" * size + '"', 'x="' + "\\n" * (size // 2) + '"', "a=b;" * (size // 4), "=" * size]
+
+
+@pytest.mark.parametrize("size", [connections.HEADERS_MAX_BYTES - 500, 60_000, 120_000])
+async def test_hostile_cookies_do_not_reach_a_parser(
+    size: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    decoded: list[str] = []
+    monkeypatch.setattr("http.cookies._unquote", lambda value: decoded.append(value) or value)
+    status = b"HTTP/1.1 200 OK" if size < connections.HEADERS_MAX_BYTES else b"HTTP/1.1 400 Bad Request"
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _):
+        for cookie in hostile_cookies(size):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\ncookie: {cookie}\r\n\r\n".encode())
+            assert (await reader.readline()).strip() == status
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+    assert decoded == []
+
+
+async def test_headers_are_bounded_before_they_are_parsed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    parsed: list[int] = []
+    read = h11._readers.maybe_read_from_IDLE_client
+
+    def measured(buffer: h11._readers.ReceiveBuffer) -> object:
+        parsed.append(len(buffer))
+        return read(buffer)
+
+    monkeypatch.setitem(h11._readers.READERS, (h11.CLIENT, h11.IDLE), measured)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _):
+        head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n"
+        for more in ("x: " + "y" * 200_000, "x: y\r\n" * 30_000):
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            writer.write(f"{head}{more}\r\n\r\n".encode())
+            assert b" 400 " in await reader.readline()
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+    assert max(parsed) <= connections.HEADERS_MAX_BYTES + connections.PIECE_BYTES
+
+
+async def test_the_host_is_checked_before_any_credentials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    inspected: list[str] = []
+    monkeypatch.setattr(Access, "_has_cookie", lambda self, headers: bool(inspected.append("cookie")))
+    monkeypatch.setattr(Access, "_has_token", lambda self, headers: bool(inspected.append("token")))
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
+        url = f"http://127.0.0.1:{port}/access"
+        refused = await http.get(url, headers={"host": "evil.example", "cookie": "slipguard=x"})
+        assert (refused.status_code, inspected) == (403, [])
+        await http.get(url)
+        assert inspected
