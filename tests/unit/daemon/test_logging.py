@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
+import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 import structlog
 
+from slipguard.daemon import log_setup
+from slipguard.daemon.journal import VALUE_MAX, JournalOutput
 from slipguard.daemon.log_setup import configure, set_level
 from slipguard.daemon.loop import event_log as event_log_module
 from slipguard.daemon.loop.event_log import KINDS_MAX, EventLog, OncePerSecond
@@ -122,3 +127,79 @@ def test_the_memory_of_message_kinds_is_bounded() -> None:
         assert limit.admit(kind, number * 0.1) == 0
     assert len(limit._until_s) <= KINDS_MAX
     assert limit._held_back == {}
+
+
+def read_entry(datagram: bytes) -> dict[str, str]:
+    """Return the fields of an entry as systemd's journal reads them."""
+    fields, rest = {}, datagram
+    while rest:
+        line, _, rest = rest.partition(b"\n")
+        name, equals, value = line.partition(b"=")
+        if not equals:
+            length = int.from_bytes(rest[:8], "little")
+            value, rest = rest[8 : 8 + length], rest[9 + length :]
+        fields[name.decode()] = value.decode()
+    return fields
+
+
+@pytest.fixture
+def journal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[[], list[dict[str, str]]]]:
+    """The log goes to a journal of this test; returns its new entries."""
+    address, stream = str(tmp_path / "journal"), tmp_path / "stderr"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver, stream.open("w") as stderr:
+        receiver.bind(address)
+        receiver.setblocking(False)
+        monkeypatch.setattr(sys, "stderr", stderr)
+        monkeypatch.setenv("JOURNAL_STREAM", f"{stream.stat().st_dev}:{stream.stat().st_ino}")
+        monkeypatch.setattr(log_setup, "JournalOutput", lambda: JournalOutput(address))
+        configure()
+
+        def entries() -> list[dict[str, str]]:
+            found = []
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    found.append(read_entry(receiver.recv(1 << 20)))
+            return found
+
+        yield entries
+        assert stream.read_text() == "", "nothing is written twice"
+
+
+def test_the_journal_gets_priorities_text_and_fields(journal: Callable[[], list[dict[str, str]]]) -> None:
+    log = structlog.get_logger()
+    set_level("debug")
+    for level in ("debug", "info", "warning", "error", "critical"):
+        getattr(log, level)("the grip slips", rotation_deg=3.5, tasks=["left", "right"])
+    entries = journal()
+    assert [entry["PRIORITY"] for entry in entries] == ["7", "6", "4", "3", "2"]
+    assert entries[0] == {
+        "PRIORITY": "7",
+        "SYSLOG_IDENTIFIER": "slipguard",
+        "SLIPGUARD_ROTATION_DEG": "3.5",
+        "SLIPGUARD_TASKS": '["left", "right"]',
+        "SLIPGUARD_EVENT": "the grip slips",
+        "MESSAGE": "the grip slips rotation_deg=3.5 tasks=['left', 'right']",
+    }
+
+
+def test_the_journal_gets_faults_and_tracebacks_as_one_entry(journal: Callable[[], list[dict[str, str]]]) -> None:
+    EventLog().fault("frames_lost", "no frames for 0.3 s", "check the cable")
+    (fault,) = journal()
+    assert (fault["PRIORITY"], fault["SLIPGUARD_CODE"]) == ("3", "frames_lost")
+    assert "no frames for 0.3 s" in fault["MESSAGE"]
+    try:
+        raise KeyError("x" * 40_000)
+    except KeyError:
+        structlog.get_logger().exception("a request\nfailed")
+    (entry,) = journal()
+    assert entry["MESSAGE"].startswith("a request\nfailed\nTraceback")
+    assert len(entry["MESSAGE"]) == VALUE_MAX
+
+
+def test_a_missing_journal_is_ignored(tmp_path: Path) -> None:
+    JournalOutput(str(tmp_path / "nothing")).write(b"MESSAGE=x\n")
+
+
+def test_a_journal_stream_of_another_program_is_not_ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JOURNAL_STREAM", "8:12345")
+    assert json.loads(logged(monkeypatch, io.StringIO()))["level"] == "warning"
