@@ -187,7 +187,7 @@ def _conflict(left: _Rotation, right: _Rotation) -> str | None:
     """
     apart_deg = abs(left.rotation_deg - right.rotation_deg)
     apart = apart_deg / math.hypot(left.sigma_deg, right.sigma_deg)
-    if apart > AGREE_SIGMAS and _opposed(left, right):
+    if apart > AGREE_SIGMAS and _certainly_opposite(left, right):
         return (
             f"both images rotate the same way (left {left.rotation_deg:+.1f}°, right {-right.rotation_deg:+.1f}°): "
             "a fault of one finger, or the object rolls"
@@ -213,8 +213,8 @@ def _weighted(rotations: list[_Rotation]) -> tuple[float, float]:
     return mean_deg, sigma_deg * (apart if apart > AGREE_SIGMAS else 1.0)
 
 
-def _opposed(left: _Rotation, right: _Rotation) -> bool:
-    """Return whether both have certainly rotated, and not the way one object can rotate both."""
+def _certainly_opposite(left: _Rotation, right: _Rotation) -> bool:
+    """Return whether both have certainly rotated, in opposite directions: no object rotates both like that."""
     certain = all(abs(rotation.rotation_deg) > AGREE_SIGMAS * rotation.sigma_deg for rotation in (left, right))
     return certain and left.rotation_deg * right.rotation_deg < 0.0
 

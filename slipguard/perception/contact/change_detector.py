@@ -125,7 +125,7 @@ class ChangeDetector:
             return False
         strengths = self._motions(self._kept)[1]
         # The squared strength contains the noise of the gradient itself, which is no signal.
-        own = 0.5 * _CHANNELS * _lever2(self._kept.near) / self._kept.count
+        own = 0.5 * _CHANNELS * _squared_motions(self._kept.near) / self._kept.count
         signal = np.sqrt(np.maximum(strengths**2 - own, 1e-9))
         least = MOTION_STD * math.sqrt(1.0 + 1.0 / self._kept.count) / signal
         if with_rotation and math.degrees(float(least[0])) > SENSITIVE_DEG:
@@ -192,8 +192,8 @@ def _without_columns(difference: Blocks, near: NDArray[np.float32]) -> Blocks:
     return np.asarray((image - columns).reshape(-1, _CHANNELS), np.float32)
 
 
-def _lever2(near: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the sums of squared levers of a rotation and of both shifts over the blocks near the contact."""
+def _squared_motions(near: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return how far a unit rotation and both unit shifts move the blocks near the contact, squares summed."""
     x, y = _places(near)
     weight = near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
     count = float(weight.sum())

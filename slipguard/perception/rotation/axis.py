@@ -15,7 +15,7 @@ from slipguard.perception.estimate import AxisEstimate, StageTimer
 from slipguard.perception.rotation.axial_angle import axial_difference_deg, axial_mean_deg
 from slipguard.perception.rotation.fusion import RotationEstimate, fuse_axis_rotations, rotation_between_axes
 from slipguard.perception.rotation.patch_axis import FIT_AXIS, PatchAxis, cut_share, skeleton_axis
-from slipguard.perception.rotation.round_contact import round_axis
+from slipguard.perception.rotation.round_contact import round_axis_reason
 from slipguard.perception.rotation.skeleton import MiddleLine, middle_line
 from slipguard.perception.settings import EstimatorName
 
@@ -151,7 +151,7 @@ def _checked_axis(
         detail = f"{share:.0%} of the contour lies on the frame's edge, limit {CUT_SHARE_MAX:.0%}"
         declined = explain(DeclineReason.CLIPPED, detail)
     if declined is None:
-        declined = round_axis(axis.aspect, round_aspect)
+        declined = round_axis_reason(axis.aspect, round_aspect)
     if declined is None and not axis.aspect >= round_aspect + CUT_ASPECT * share:
         detail = f"aspect {axis.aspect:.2f}, limit {round_aspect + CUT_ASPECT * share:.2f} for a cut contact"
         declined = explain(DeclineReason.CLIPPED, detail)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.contour_template import BLUR_PX, RIM_PX, ContourTemplate, blurred, sampled
-from slipguard.perception.rotation.round_contact import round_contour
+from slipguard.perception.rotation.round_contact import round_contour_reason
 
 ITERATIONS_MAX = 8
 CONTOUR_PX = 0.10
@@ -162,15 +162,15 @@ class ContourRegistrar:
         information = 1.0 / max(float(covariance[0, 0]), 1e-12)
         steepness2 = max(float(weight @ t.slope**2), 1e-9)
         # Motion of the contour by a rotation, beyond what shift, growth and stretch explain.
-        lever_px = max(math.sqrt(information / steepness2), 1e-3)
+        motion_px = max(math.sqrt(information / steepness2), 1e-3)
         misfit_px = residual / math.sqrt(steepness2 / max(float(weight.sum()), 1e-6))
-        misfit_deg = math.degrees(misfit_px / lever_px)
+        misfit_deg = math.degrees(misfit_px / motion_px)
         own_px = math.hypot(CONTOUR_PX, self._patch.ragged_px)
-        sigma = math.hypot(math.degrees(own_px / lever_px), MISFIT_SHARE * misfit_deg)
-        declined = self._declined(float(weight.sum()), lever_px, misfit_px, residual)
+        sigma = math.hypot(math.degrees(own_px / motion_px), MISFIT_SHARE * misfit_deg)
+        declined = self._declined(float(weight.sum()), motion_px, misfit_px, residual)
         return ContourFit(pose, min(sigma, 180.0), min(misfit_deg, 180.0), residual, declined)
 
-    def _declined(self, visible: float, lever_px: float, misfit_px: float, residual: float) -> str | None:
+    def _declined(self, visible: float, motion_px: float, misfit_px: float, residual: float) -> str | None:
         t = self._template
         share = visible / t.value.size
         if visible < OVERLAP_MIN * t.value.size:
@@ -178,7 +178,7 @@ class ContourRegistrar:
             return explain(reason, f"{share:.0%} of the contour is visible, limit {OVERLAP_MIN:.0%}")
         if t.periodic:
             return DeclineReason.PERIODIC_CONTOUR
-        declined = round_contour(lever_px, t.contrast)
+        declined = round_contour_reason(motion_px, t.contrast)
         if declined is None and (misfit_px > MISFIT_MAX_PX or t.contrast < CONTRAST_RATIO_MIN * residual):
             limit_px = min(MISFIT_MAX_PX, misfit_px * t.contrast / (CONTRAST_RATIO_MIN * residual))
             detail = f"contours differ by {misfit_px:.1f} px, limit {limit_px:.1f} px"

@@ -48,8 +48,8 @@ class PatchAxis:
         An ellipse that rotates by a radian moves its contour by (a^2 - b^2) / (2 sqrt(a^2 + b^2)) on average (r.m.s.).
         """
         a2, b2 = self.long_px**2, self.short_px**2
-        lever_px = (a2 - b2) / (2.0 * math.sqrt(a2 + b2) + 1e-9)
-        return math.degrees(contour_px / max(lever_px, 1e-3))
+        motion_px = (a2 - b2) / (2.0 * math.sqrt(a2 + b2) + 1e-9)
+        return math.degrees(contour_px / max(motion_px, 1e-3))
 
 
 def _too_small(patch: Patch) -> str:

@@ -71,7 +71,7 @@ class TextureFit:
     """The best pose. spread_deg: one standard deviation of the rotation by the disagreement of the contact's parts.
 
     noise_deg: the rotation that would change the texture as much as the camera's noise does. misfit_deg: as much as the
-    fit leaves beyond the noise of both images. lever: change of the texture by a rotation of a radian over the texture
+    fit leaves beyond the noise of both images. change: of the texture by a rotation of a radian over the texture
     itself. alike: correlation with the reference. deformed: how far below 1 that is for other reasons than noise.
     strength: of the reference's texture without noise, grey levels per pixel, r.m.s. declined: None, or why there is no
     rotation. static_bias_deg: by how much a static pattern may have held the rotation back.
@@ -81,7 +81,7 @@ class TextureFit:
     spread_deg: float
     noise_deg: float
     misfit_deg: float
-    lever: float
+    change: float
     alike: float
     deformed: float
     strength: float
@@ -96,8 +96,8 @@ class TextureFit:
 
 def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: TexturePose) -> TextureFit:
     """Register a texture map to the template, from a start within some degrees and pixels."""
-    if template.round is not None:
-        return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, template.round)
+    if template.round_reason is not None:
+        return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, template.round_reason)
     rotation, dx, dy, scale, gain = math.radians(start.rotation_deg), start.dx_px, start.dy_px, start.scale, start.gain
     motion = template.motion
     for _ in range(ITERATIONS_MAX):
@@ -168,7 +168,7 @@ def _result(
         spread_deg=min(max(spread_deg, 1e-3), 180.0),
         noise_deg=min(math.degrees(math.sqrt(noise2) / levels), 180.0),
         misfit_deg=min(math.degrees(math.sqrt(max(left2, 0.0)) / levels), 180.0),
-        lever=levels / (abs(pose.gain) * math.sqrt(own2)),
+        change=levels / (abs(pose.gain) * math.sqrt(own2)),
         alike=alike,
         deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
         strength=math.sqrt(clean2),
@@ -238,6 +238,6 @@ def parts_deg(fit: TextureFit) -> tuple[float, float, float, float]:
     twice if the texture is no stronger than `FAINT_LEVELS`: the effect of the light on a place does not rotate.
     """
     faint = 1.0 + (FAINT_LEVELS / max(fit.strength, 1e-3)) ** 2
-    lever = max(fit.lever, 1e-3)
-    grown_deg = math.degrees(abs(math.log(fit.pose.scale)) / lever)
-    return fit.spread_deg, fit.noise_deg, faint * grown_deg, faint * fit.deformation * fit.misfit_deg / lever
+    change = max(fit.change, 1e-3)
+    grown_deg = math.degrees(abs(math.log(fit.pose.scale)) / change)
+    return fit.spread_deg, fit.noise_deg, faint * grown_deg, faint * fit.deformation * fit.misfit_deg / change

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.rotation.contour_template import sampled
-from slipguard.perception.rotation.round_contact import round_texture
+from slipguard.perception.rotation.round_contact import round_texture_reason
 from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Field, TextureMap, mask_in_window
 
 SKIRT_PX = 5
@@ -44,7 +44,7 @@ class TextureTemplate:
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
     only noise changes, so that a shift is invisible; None if there is none. strength: r.m.s. of the values.
     noise: the camera's share of it. image, origin_px: the source of the points, and the center in it.
-    round: None, or why the contact counts as round.
+    round_reason: None, or why the contact counts as round.
     """
 
     x_px: Field
@@ -58,7 +58,7 @@ class TextureTemplate:
     noise: float
     image: Field
     origin_px: tuple[float, float]
-    round: str | None
+    round_reason: str | None
 
 
 def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTemplate | None:
@@ -102,7 +102,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         texture_map.noise,
         curvature,
         (center_x, center_y),
-        round_texture(_lever(coarse.T @ coarse), strength),
+        round_texture_reason(_change_by_rotation(coarse.T @ coarse), strength),
     )
 
 
@@ -142,7 +142,7 @@ def _smooth_direction(shifts: Field, noise: float) -> Field | None:
     return None if square[0] >= (SMOOTH * noise) ** 2 else np.asarray(axes[:, 0], np.float32)
 
 
-def _lever(normal: NDArray[np.float32]) -> float:
+def _change_by_rotation(normal: NDArray[np.float32]) -> float:
     """Return the change by a rotation of one radian, beyond the other motions, over the image itself, r.m.s."""
     whole = normal.astype(np.float64)
     whole += 1e-9 * (np.trace(whole) + 1e-9) * np.eye(len(whole))

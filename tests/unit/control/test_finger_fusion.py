@@ -111,7 +111,7 @@ def test_the_same_sign_in_both_images_is_a_conflict_and_the_larger_rotation_is_u
     assert both.rotation_deg == pytest.approx(-9.0)
 
 
-def test_opposed_within_the_noise_is_no_conflict() -> None:
+def test_opposite_within_the_noise_is_no_conflict() -> None:
     for left, right in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
         both = fuse(estimate(left), estimate(right))
         assert both is not None

@@ -106,11 +106,11 @@ def test_the_same_sign_in_both_images(angle_deg: float, rotation_deg: float, sig
     )
 
 
-@pytest.mark.parametrize(("angle_deg", "opposed"), [(1.5, False), (1.625, True)])
-def test_an_uncertain_rotation_contradicts_no_finger(angle_deg: float, opposed: bool) -> None:
+@pytest.mark.parametrize(("angle_deg", "opposite"), [(1.5, False), (1.625, True)])
+def test_an_uncertain_rotation_contradicts_no_finger(angle_deg: float, opposite: bool) -> None:
     answer = fuse(changed(LEFT, angle_deg=1.75), changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
     assert answer is not None
-    assert (answer.conflict is not None) is opposed
+    assert (answer.conflict is not None) is opposite
 
 
 @pytest.mark.parametrize(
