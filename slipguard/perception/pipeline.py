@@ -76,7 +76,7 @@ class Pipeline:
         try:
             self._dead_lines = DeadLines(background)
             background = None if background is None else self._dead_lines.interpolate(background)
-            self._gate = ContactGate(background, noise, settings.gate_sigma)
+            self._gate = ContactGate(background, noise, settings.gate_noise_factor)
         except FrameCorrupt as error:
             raise InputError(f"background image: {error}") from error
         self._quality = ImageQuality(background)

@@ -29,7 +29,7 @@ class PerceptionSettings(BaseModel):
     """A patch is round, without a readable axis, if long axis / short axis is below this."""
     sigma_max_deg: Annotated[float, Field(ge=0.5, le=30.0)] = 6.0
     """A rotation with a larger sigma is declined."""
-    gate_sigma: Annotated[float, Field(ge=3.0, le=30.0)] = 7.0
+    gate_noise_factor: Annotated[float, Field(ge=3.0, le=30.0)] = 7.0
     """Difference from the background image, in standard deviations of noise, above which a block may be contact."""
     skip_unchanged: bool = True
     """Reuse the last estimate while the image differs from the measured one by no more than noise."""

@@ -179,9 +179,11 @@ class GelMonitor:
         serial = finger.serial
         if serial is None:
             return
-        px_per_mm, gate_sigma = getattr(config, name).px_per_mm, config.perception.gate_sigma
+        px_per_mm, gate_noise_factor = getattr(config, name).px_per_mm, config.perception.gate_noise_factor
         try:
-            compared = await asyncio.to_thread(_compare_with_stored, self._service.store, serial, mean, gate_sigma)
+            compared = await asyncio.to_thread(
+                _compare_with_stored, self._service.store, serial, mean, gate_noise_factor
+            )
         except SlipguardError:  # a damaged or missing image is reported elsewhere
             return
         except Exception:  # the guard must go on
@@ -199,7 +201,7 @@ class GelMonitor:
 
 
 def _compare_with_stored(
-    store: BackgroundStore, serial: str, mean: NDArray[np.float32], gate_sigma: float
+    store: BackgroundStore, serial: str, mean: NDArray[np.float32], gate_noise_factor: float
 ) -> tuple[GelChange, GelChange] | None:
     """Return the change since the newest background image and since the first one of the gel; None if there is none."""
     newest, first = store.load_background(serial), store.first_of_gel(serial)
@@ -207,7 +209,7 @@ def _compare_with_stored(
         return None
 
     def since(known: BackgroundImage) -> GelChange:
-        return compare_gel(mean, FRAMES, known.image, known.noise_bgr, known.frames, gate_sigma)
+        return compare_gel(mean, FRAMES, known.image, known.noise_bgr, known.frames, gate_noise_factor)
 
     light = since(newest)
     return light, light if np.array_equal(first.image, newest.image) else since(first)

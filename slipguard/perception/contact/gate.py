@@ -74,14 +74,14 @@ class ContactGate:
     Args:
         background: (320, 240, 3) uint8 BGR, or None: then every frame may be contact.
         noise_bgr: Standard deviation of one pixel per channel, grey levels; None: typical values of a DIGIT.
-        gate_sigma: Difference of a block, in standard deviations of its noise, above which it may be contact.
+        gate_noise_factor: Difference of a block, in standard deviations of its noise, above which it may be contact.
     """
 
     def __init__(
         self,
         background: NDArray[np.uint8] | None,
         noise_bgr: Sequence[float] | NDArray[np.floating] | None = None,
-        gate_sigma: float = 7.0,
+        gate_noise_factor: float = 7.0,
     ) -> None:
         self.noise_known = noise_bgr is not None
         """Whether the noise was measured on this unit: a typical value could hide a rotation of some degrees."""
@@ -96,7 +96,7 @@ class ContactGate:
         """(3,) one over the noise of a block mean."""
         self.background: Blocks | None = None if background is None else block_means(background)
         """(1200, 3) block means of the background image."""
-        self._limit = gate_sigma**2
+        self._limit = gate_noise_factor**2
         x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
         self._drift: NDArray[np.float32] = np.linalg.qr(drift)[0].astype(np.float32)

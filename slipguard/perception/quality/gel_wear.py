@@ -71,7 +71,7 @@ class GelChange:
 
 
 def compare_gel(
-    now: Mean, now_frames: int, known: Image, noise_bgr: Sequence[float], known_frames: int, gate_sigma: float
+    now: Mean, now_frames: int, known: Image, noise_bgr: Sequence[float], known_frames: int, gate_noise_factor: float
 ) -> GelChange:
     """Compare an averaged image with the known one.
 
@@ -81,7 +81,7 @@ def compare_gel(
         known: (320, 240, 3) uint8 BGR, mean of `known_frames`.
         noise_bgr: Standard deviation of one pixel, grey levels.
         known_frames: Number of frames in `known`.
-        gate_sigma: Limit of the contact gate.
+        gate_noise_factor: Limit of the contact gate.
     """
     difference = cv2.subtract(now, known.astype(np.float32))
     level = difference.mean(axis=(0, 1))
@@ -92,7 +92,7 @@ def compare_gel(
     return GelChange(
         (float(level[0]), float(level[1]), float(level[2])),
         uneven,
-        _gate_share(now, known, noise_bgr, gate_sigma),
+        _gate_share(now, known, noise_bgr, gate_noise_factor),
         marks,
         marked_px,
     )
@@ -136,9 +136,9 @@ def _sharp(image: Mean) -> Mean:
     return np.asarray(fine, np.float32)
 
 
-def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_sigma: float) -> float:
+def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_noise_factor: float) -> float:
     """Return the worst block difference of the contact gate, over the gate's limit."""
-    gate = ContactGate(known, noise_bgr, gate_sigma)
+    gate = ContactGate(known, noise_bgr, gate_noise_factor)
     blocks = block_means(np.clip(np.rint(now), 0, 255).astype(np.uint8))
     assert gate.background is not None
     difference = blocks - gate.background
@@ -146,4 +146,4 @@ def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_sigma:
     terms = np.stack([np.ones(len(blocks)), x / BLOCKS_WIDE, y / BLOCKS_HIGH], axis=1).astype(np.float32)
     plane, *_ = np.linalg.lstsq(terms, difference, rcond=None)
     worst = np.linalg.norm((difference - terms @ plane) * gate.inverse_std, axis=1).max()
-    return float(worst / gate_sigma)
+    return float(worst / gate_noise_factor)
