@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 STORED_IMAGES_PANEL = "Stored images"
 StoredImages = Mapping[str, Any]
-"""Response to `GET /no-contact`: by finger, `serial` and `versions`."""
+"""Response to `GET /background`: by finger, `serial` and `versions`."""
 
 
 def calibrate(

@@ -28,7 +28,7 @@ def draw(images: Mapping[str, bytes], stored: Mapping[str, Any], path: Path) -> 
 
     Args:
         images: PNG data by "FINGER NUMBER".
-        stored: The response of `GET /no-contact`.
+        stored: The response of `GET /background`.
         path: The image file to write.
 
     Raises:

@@ -92,14 +92,14 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
 
         return await with_error_response("/metrics", respond())
 
-    @app.get("/no-contact", response_model=dict[str, models.StoredBackgrounds], responses=error_responses())
+    @app.get("/background", response_model=dict[str, models.StoredBackgrounds], responses=error_responses())
     async def backgrounds() -> Response:
         """Return number, time, noise and brightness of all stored background images, by finger."""
 
         async def respond() -> Response:
             return Response(await context.backgrounds.get(), media_type="application/json")
 
-        return await with_error_response("/no-contact", respond())
+        return await with_error_response("/background", respond())
 
     @app.get("/access", response_model=models.AccessInfo, responses=error_responses())
     async def access(request: Request) -> Response:
@@ -127,7 +127,7 @@ def _add_images(app: FastAPI, context: RouteContext) -> None:
 
         return await with_error_response("/frame", respond())
 
-    @app.get("/no-contact/{finger}", response_class=Response, responses=responses("image/png", "The mean image."))
+    @app.get("/background/{finger}", response_class=Response, responses=responses("image/png", "The mean image."))
     async def background(
         finger: FingerName, number: Annotated[int | None, Query(ge=1, le=1_000_000)] = None
     ) -> Response:
@@ -137,9 +137,9 @@ def _add_images(app: FastAPI, context: RouteContext) -> None:
             _check_finger(finger)
             return _image_response(await context.images.background(finger, number), "image/png")
 
-        return await with_error_response("/no-contact", respond())
+        return await with_error_response("/background", respond())
 
-    @app.get("/picture/{finger}", response_class=Response, responses=responses("image/jpeg", "For display."))
+    @app.get("/image/{finger}", response_class=Response, responses=responses("image/jpeg", "For display."))
     async def overlay_image(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
         """Return the newest processed frame, with contour, skeleton and axis of the contact drawn over it."""
 
@@ -147,7 +147,7 @@ def _add_images(app: FastAPI, context: RouteContext) -> None:
             _check_finger(finger)
             return _image_response(await context.images.with_overlay(finger, overlay == "1"), "image/jpeg")
 
-        return await with_error_response("/picture", respond())
+        return await with_error_response("/image", respond())
 
 
 def _image_response(image: EncodedImage, media_type: str) -> Response:

@@ -64,8 +64,8 @@ async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[O
     async def opened(control: bool = True, expected: tuple[str, ...] = ()) -> Page:
         def on_console(message: ConsoleMessage) -> None:
             asked_for = message.location.get("url", "")
-            no_picture = "/picture/" in asked_for and "status of 409" in message.text  # for a moment there may be none
-            known = no_picture or any(part in message.text for part in expected)
+            no_image = "/image/" in asked_for and "status of 409" in message.text  # for a moment there may be none
+            known = no_image or any(part in message.text for part in expected)
             if message.type in ("error", "warning") and not known:
                 wrong.append(f"{message.type}: {message.text} ({asked_for})")
 

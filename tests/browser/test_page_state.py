@@ -111,7 +111,7 @@ async def test_a_hidden_page_requests_no_images(running: DaemonProcess, open_pag
     running.well()
     page: Page = await open_page()
     requested: list[str] = []
-    page.on("request", lambda request: "/picture/" in request.url and requested.append(request.url))
+    page.on("request", lambda request: "/image/" in request.url and requested.append(request.url))
     await page.wait_for_timeout(700)
     assert 2 <= len(requested) <= 14, "both fingers, eight times a second at most"
     await page.evaluate(HIDE, True)
@@ -119,7 +119,7 @@ async def test_a_hidden_page_requests_no_images(running: DaemonProcess, open_pag
     requested.clear()
     await page.wait_for_timeout(600)
     assert not requested
-    async with page.expect_request("**/picture/right"):
+    async with page.expect_request("**/image/right"):
         await page.evaluate(HIDE, False)
 
 

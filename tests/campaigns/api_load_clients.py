@@ -20,8 +20,8 @@ from websockets.exceptions import WebSocketException
 POLL_S = 0.25
 """Period of a polling client, which requests the paths in turn."""
 PATHS = (
-    *("/state", "/picture/left", "/state", "/picture/right", "/healthz"),
-    *("/state", "/picture/left", "/no-contact", "/picture/right", "/no-contact/left"),
+    *("/state", "/image/left", "/state", "/image/right", "/healthz"),
+    *("/state", "/image/left", "/background", "/image/right", "/background/left"),
 )
 
 

@@ -108,11 +108,11 @@ class Client:
 
     def backgrounds(self) -> dict[str, Any]:
         """Return the list of stored background images, by finger."""
-        return self._json("GET", "/no-contact")
+        return self._json("GET", "/background")
 
     def background(self, finger: str, number: int | None = None) -> SensorFrame:
         """Return a stored background image of `left` or `right`, by default the newest; `sequence` is its number."""
-        return self._image(f"/no-contact/{finger}" + ("" if number is None else f"?number={number}"))
+        return self._image(f"/background/{finger}" + ("" if number is None else f"?number={number}"))
 
     def _image(self, path: str) -> SensorFrame:
         response = self._response("GET", path)

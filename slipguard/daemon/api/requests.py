@@ -109,7 +109,7 @@ def _integer(number: object) -> object:
 class RestoreBackgroundRequest(DaemonRequest):
     """Use an older background image of a finger's sensor again, given by its number."""
 
-    kind = "no-contact"
+    kind = "background"
     response_timeout_s = CALIBRATION_TIMEOUT_S
     finger: Literal["left", "right"]
     number: Annotated[int, Field(ge=1, le=1_000_000), BeforeValidator(_integer)]

@@ -40,7 +40,7 @@ class FingerView {
   /** Fetch the newest image; return false if there is none. */
   async fetch(overlay) {
     try {
-      const response = await fetch(`/picture/${this.name}${overlay ? "" : "?overlay=0"}`, {
+      const response = await fetch(`/image/${this.name}${overlay ? "" : "?overlay=0"}`, {
         cache: "no-store",
         signal: AbortSignal.timeout(TIMEOUT_MS),
       });

@@ -51,7 +51,7 @@ async def _images(socket: Path, finger: str, received: Counter[str], every_s: fl
             reader, writer = await asyncio.open_unix_connection(socket)
             with contextlib.closing(writer):
                 while True:
-                    status = await _get(reader, writer, f"/picture/{finger}")
+                    status = await _get(reader, writer, f"/image/{finger}")
                     received["images" if status == HTTPStatus.OK else f"responses {status}"] += 1
                     await asyncio.sleep(every_s)
         except (OSError, EOFError):

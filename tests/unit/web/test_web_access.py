@@ -78,7 +78,7 @@ async def test_commands_with_valid_credentials_are_executed(daemon: FakeDaemonAp
     assert len(daemon.requests) == 6
 
 
-READS = ("/state", "/healthz", "/access", "/picture/left", "/frame/left", "/metrics", "/openapi.json", "/")
+READS = ("/state", "/healthz", "/access", "/image/left", "/frame/left", "/metrics", "/openapi.json", "/")
 
 
 @pytest.mark.parametrize("path", READS)
@@ -96,7 +96,7 @@ async def test_reading_needs_no_token_but_the_right_host_name(path: str, daemon:
 
 async def test_other_pages_may_not_frame_or_embed_the_page(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     async with served_on_tcp(daemon, tmp_path) as (port, _):
-        for path in ("/", "/picture/left", "/nowhere"):
+        for path in ("/", "/image/left", "/nowhere"):
             received = (await ask(port, "GET", path)).headers
             assert "frame-ancestors 'none'" in received["content-security-policy"]
             assert received["x-frame-options"] == "DENY"

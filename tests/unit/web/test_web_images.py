@@ -99,20 +99,20 @@ async def test_over_http(tmp_path: Path) -> None:
         served_on_tcp(daemon, tmp_path) as (port, _),
         httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}", trust_env=False) as http,
     ):
-        received = await http.get("/picture/left")
+        received = await http.get("/image/left")
         assert (received.headers["content-type"], received.headers["x-sequence"]) == ("image/jpeg", "1")
         assert received.headers["x-serial"] == "D20001"
         shown = cv2.imdecode(np.frombuffer(received.content, np.uint8), cv2.IMREAD_COLOR)
-        plain = await http.get("/picture/left", params={"overlay": "0"})
+        plain = await http.get("/image/left", params={"overlay": "0"})
         bare = cv2.imdecode(np.frombuffer(plain.content, np.uint8), cv2.IMREAD_COLOR)
         assert shown.shape == bare.shape == (320, 240, 3)
         assert np.ptp(bare) < 4
         assert np.ptp(shown) > 100
-        assert (await http.get("/picture/middle")).status_code == 404
-        assert (await http.get("/picture/left", params={"overlay": "2"})).status_code == 422
+        assert (await http.get("/image/middle")).status_code == 404
+        assert (await http.get("/image/left", params={"overlay": "2"})).status_code == 422
         await asyncio.sleep(2 * pictures_module.OVERLAY_TTL_S)
         daemon.failure = CommandRefused("no frame of the left finger: unplugged")
-        refused = await http.get("/picture/left")
+        refused = await http.get("/image/left")
         assert (refused.status_code, refused.json()["error"]) == (409, str(daemon.failure))
 
 
@@ -145,13 +145,13 @@ async def test_simultaneous_clients_cause_one_call_to_the_daemon() -> None:
     room = RouteContext(Counting())
     transport = httpx.ASGITransport(make_app(room))
     async with httpx.AsyncClient(transport=transport, base_url="http://s") as http:
-        paths = ["/healthz", "/no-contact", "/no-contact/left", "/no-contact/right?number=1"] * 5
+        paths = ["/healthz", "/background", "/background/left", "/background/right?number=1"] * 5
         responses = await asyncio.gather(*(http.get(path) for path in paths))
         assert {response.status_code for response in responses} == {200}
         assert most == 1
         before = requested["no_contacts"]
         assert before < 5
         assert (await http.post("/clear")).status_code == 200
-        assert (await http.get("/no-contact")).status_code == 200
+        assert (await http.get("/background")).status_code == 200
         assert requested["no_contacts"] == before + 1
     assert requested["trouble"] < 5
