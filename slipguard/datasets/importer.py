@@ -110,9 +110,9 @@ def import_dataset(
     check_new(out_dir)
     pairs, left_out = found_pairs(source)
     if left_out and not skip:
-        raise InputError(
-            f"{source}: {left_out[0]} ({len(left_out)} such files, {len(pairs)} pairs); complete them or use --skip"
-        )
+        unpaired = f"{len(left_out)} unpaired file{'s' * (len(left_out) != 1)}"
+        complete = f"{len(pairs)} complete pair{'s' * (len(pairs) != 1)}"
+        raise InputError(f"{source}: {left_out[0]} ({unpaired}, {complete}); add the missing files or use --skip")
     rotated = stretched = 0
     under = None if background is None else png(background)
     progress(0, len(pairs))

@@ -102,11 +102,11 @@ def train(
         on_step: Called with the number of finished and of all batches.
         on_epoch: Called with the figures and the average so far.
         backgrounds: Real background images (320, 240, 3) that half of the imprints are put on.
-        start: Weights to start with instead of random ones, for layers of the same name and shape.
+        start: Weights of an earlier training of the same network, to start with instead of random ones.
         make_net: Makes the network.
 
     Raises:
-        InputError: There are fewer frames than one batch.
+        InputError: There are fewer frames than one batch, or `start` holds other weights.
     """
     steps_per_epoch = len(frames) // settings.batch
     if steps_per_epoch < 1:
@@ -115,7 +115,7 @@ def train(
     torch.manual_seed(settings.seed)
     net = make_net()
     if start is not None:
-        _load_matching(net, torch.load(start, weights_only=True))
+        _load_weights(net, start)
     _channels_last(net)
     average = copy.deepcopy(net)
     total = settings.epochs * steps_per_epoch
@@ -176,9 +176,25 @@ def _channels_last(net: SmallNet) -> None:
             weights.data = weights.data.contiguous(memory_format=torch.channels_last)
 
 
-def _load_matching(net: SmallNet, weights: dict[str, Tensor]) -> None:
-    own = net.state_dict()
-    net.load_state_dict(own | {k: v for k, v in weights.items() if k in own and own[k].shape == v.shape})
+def _load_weights(net: SmallNet, path: Path) -> None:
+    """Load all weights of a network. Raises InputError if the file lacks some or has others."""
+    advice = "give the weights.pt of a training by this version of slipguard"
+    try:
+        weights = dict(torch.load(path, map_location="cpu", weights_only=True))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); {advice}") from error
+    except Exception as error:
+        raise InputError(f"{path}: not a file of weights; {advice}") from error
+    own = {name: tuple(value.shape) for name, value in net.state_dict().items()}
+    found = {name: tuple(getattr(value, "shape", ())) for name, value in weights.items()}
+    wrong = sorted(name for name in own.keys() | found.keys() if own.get(name) != found.get(name))
+    if wrong:
+        missing = len(own.keys() - found.keys())
+        raise InputError(
+            f"{path}: weights of another network ({len(wrong)} of {len(own)} tensors differ, {missing} are missing, "
+            f"first {wrong[0]}); {advice}"
+        )
+    net.load_state_dict(weights)
 
 
 def _rate_share(step: int, total: int) -> float:

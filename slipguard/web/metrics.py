@@ -17,7 +17,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 LOST_FRAMES = ("corrupt", "frozen", "stalled", "missed", "late")
-"""Counts of a finger: frames without an estimate, by reason."""
+"""Reasons of lost frames: these counts of a finger together."""
 
 
 def prometheus_text(state: bytes, counters: bytes) -> bytes:
@@ -68,7 +68,7 @@ class _StateCollector(Collector):
 
     def _frames(self) -> Iterator[Metric]:
         frames = CounterMetricFamily("slipguard_frames", "Good frames.", labels=["finger"])
-        lost = CounterMetricFamily("slipguard_frames_lost", "Frames without an estimate.", labels=["finger", "reason"])
+        lost = CounterMetricFamily("slipguard_frames_lost", "Lost frames, by reason.", labels=["finger", "reason"])
         skipped = CounterMetricFamily(
             "slipguard_frames_skipped", "Frames processed without the network.", labels=["finger", "reason"]
         )

@@ -142,7 +142,10 @@ def spoilt(folder: Path, kind: str) -> None:
     ("kind", "message"),
     [
         ("cut", r"b\.png: the PNG is truncated"),
-        ("no mask", r"images/b\.png: no mask \(1 such files, 2 pairs\); complete them or use --skip"),
+        (
+            "no mask",
+            r"images/b\.png: no mask \(1 unpaired file, 2 complete pairs\); add the missing files or use --skip",
+        ),
         ("no image", r"masks/b\.png: no image"),
         ("empty mask file", r"masks/b\.png: the file is empty"),
         ("grey image", r"images/b\.png: gray image. Color is needed"),

@@ -85,3 +85,38 @@ def test_rendered_frames_are_cached(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(first.frame, again.frame)
     assert set(np.unique(first.label)) <= set(range(256))
     assert first.frame.std() > 5.0
+
+
+@needs_torch
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ("missing", r"1 of \d+ tensors differ, 1 are missing, first "),
+        ("shape", r"1 of \d+ tensors differ, 0 are missing, first "),
+        ("unknown", r"1 of \d+ tensors differ, 0 are missing, first old\.weight"),
+        ("no weights", r"not a file of weights"),
+    ],
+)
+def test_weights_of_another_network_are_refused(tmp_path: Path, spoil: str, message: str) -> None:
+    import torch
+
+    from slipguard.training.small_network import SmallNet
+    from slipguard.training.train import _load_weights
+
+    path = tmp_path / "weights.pt"
+    weights = SmallNet().state_dict()
+    name = sorted(key for key, value in weights.items() if value.ndim == 4)[0]
+    if spoil == "missing":
+        del weights[name]
+    elif spoil == "shape":
+        weights[name] = weights[name][:1]
+    elif spoil == "unknown":
+        weights["old.weight"] = torch.zeros(3)
+    torch.save(weights, path)
+    if spoil == "no weights":
+        path.write_bytes(b"text")
+    with pytest.raises(InputError, match=message) as caught:
+        _load_weights(SmallNet(), path)
+    assert "\n" not in str(caught.value)
+    torch.save(SmallNet().state_dict(), path)
+    _load_weights(SmallNet(), path)
