@@ -40,7 +40,7 @@ class AxialRotation:
             contact=area_px >= MIN_AREA_PX,
             contact_area_px=area_px,
             method=method,
-            angle_deg=rotation_deg,
+            rotation_deg=rotation_deg,
             declined=None if rotation_deg is not None else "no axis",
         )
 

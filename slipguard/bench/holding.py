@@ -150,6 +150,6 @@ def measure_holding(
                 own.measured_s += wall_s if estimate.skipped is None else 0.0
             if estimate.skipped is not None:
                 own.skipped[estimate.skipped] = own.skipped.get(estimate.skipped, 0) + 1
-            if shot.compared and estimate.angle_deg is not None:
-                own.errors_deg.append(abs(estimate.angle_deg - shot.rotation_deg))
+            if shot.compared and estimate.rotation_deg is not None:
+                own.errors_deg.append(abs(estimate.rotation_deg - shot.rotation_deg))
     return held

@@ -66,9 +66,9 @@ class PipelineResults:
                 self.overlaps.append((0.0, 0.0))
         if shot.compared:
             errors.compared += 1
-            if estimate.angle_deg is not None:
+            if estimate.rotation_deg is not None:
                 errors.found.append(
-                    (abs(estimate.angle_deg - shot.rotation_deg), estimate.angle_deg, estimate.sigma_deg)
+                    (abs(estimate.rotation_deg - shot.rotation_deg), estimate.rotation_deg, estimate.sigma_deg)
                 )
         return estimate
 

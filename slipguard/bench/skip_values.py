@@ -155,7 +155,7 @@ def _round(default: BenchPipeline, objects: tuple[str, ...]) -> SkipResult:
             pipeline = replace(default, skips=replace(ALL_SKIPS, round=skip))
             spent[skip].run(pipeline.open(grasp), grasp, grasp.shots)
             processor = pipeline.open(grasp)
-            angles[skip] = [processor.process(shot.frame).angle_deg for shot in grasp.shots]
+            angles[skip] = [processor.process(shot.frame).rotation_deg for shot in grasp.shots]
         differ += sum(one != other for one, other in zip(angles[True], angles[False], strict=True))
     saved = float(np.median(spent[False].busy_ms) - np.median(spent[True].busy_ms))
     how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} estimates differ"

@@ -133,7 +133,9 @@ def _print_table(done: list[FrameMeasurement]) -> None:
                 table.add_row("…", "", "", "", "", "", f"{omitted} more; --json prints all")
             continue
         estimate = measured.estimate
-        rotation = "" if estimate.angle_deg is None else f"{estimate.angle_deg:+.2f} ± {estimate.sigma_deg or 0.0:.2f}"
+        rotation = (
+            "" if estimate.rotation_deg is None else f"{estimate.rotation_deg:+.2f} ± {estimate.sigma_deg or 0.0:.2f}"
+        )
         axis = "" if estimate.orientation_deg is None else f"{estimate.orientation_deg:+.1f}"
         note = estimate.skipped or estimate.declined or ""
         contact = "yes" if estimate.contact else "no"
@@ -142,7 +144,7 @@ def _print_table(done: list[FrameMeasurement]) -> None:
     console = Console()
     console.print(table)
     in_contact = [measured.estimate for measured in done if measured.estimate.contact]
-    angles = [estimate.angle_deg for estimate in in_contact if estimate.angle_deg is not None]
+    angles = [estimate.rotation_deg for estimate in in_contact if estimate.rotation_deg is not None]
     line = f"{len(done)} frames, {len(in_contact)} with contact, {len(angles)} with a rotation"
     if angles:
         line += f", from {min(angles):+.2f}° to {max(angles):+.2f}°, last {angles[-1]:+.2f}°"

@@ -135,22 +135,22 @@ def _checked(estimate: Estimate | None) -> Estimate | None:
     """Return the estimate, without rotation and shift if one of its numbers is invalid."""
     if estimate is None or not (math.isfinite(estimate.captured_at_s) and math.isfinite(estimate.measured_at_s)):
         return None
-    numbers = (estimate.angle_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
+    numbers = (estimate.rotation_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
     sigma_deg = estimate.sigma_deg
     if all(n is None or abs(n) <= LARGEST for n in numbers) and (
         sigma_deg is None or 0.0 <= sigma_deg <= SIGMA_MAX_DEG
     ):
         return estimate
-    return replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined="not a number")
+    return replace(estimate, rotation_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined="not a number")
 
 
 def _rotation(finger: str, estimate: Estimate | None, sign: float) -> _Rotation | None:
-    if estimate is None or estimate.angle_deg is None or estimate.sigma_deg is None:
+    if estimate is None or estimate.rotation_deg is None or estimate.sigma_deg is None:
         return None
     rate_deg_s = None if estimate.rate_deg_s is None else sign * estimate.rate_deg_s
     sigma_deg = max(estimate.sigma_deg, SIGMA_FLOOR_DEG)
     return _Rotation(
-        finger, sign * estimate.angle_deg, sigma_deg, rate_deg_s, estimate.captured_at_s, estimate.measured_at_s
+        finger, sign * estimate.rotation_deg, sigma_deg, rate_deg_s, estimate.captured_at_s, estimate.measured_at_s
     )
 
 
@@ -158,7 +158,7 @@ def _reason(estimate: Estimate | None) -> str | None:
     """Return why a finger gives no rotation; None if it does."""
     if estimate is None:
         return "no frames"
-    if estimate.angle_deg is not None and estimate.sigma_deg is not None:
+    if estimate.rotation_deg is not None and estimate.sigma_deg is not None:
         return None
     return estimate.declined or ("no reference yet" if estimate.contact else "no contact")
 

@@ -245,9 +245,9 @@ def _result(press: PressImage, way: RotationMethod, segmenter: ContactSegmenter)
         if not shot.compared:
             continue
         frames += 1
-        if estimate.angle_deg is not None and estimate.sigma_deg is not None:
-            errors.append((estimate.angle_deg - shot.rotation_deg, estimate.sigma_deg))
-            confident += not press.readable and abs(estimate.angle_deg) > CONFIDENT_SIGMAS * estimate.sigma_deg
+        if estimate.rotation_deg is not None and estimate.sigma_deg is not None:
+            errors.append((estimate.rotation_deg - shot.rotation_deg, estimate.sigma_deg))
+            confident += not press.readable and abs(estimate.rotation_deg) > CONFIDENT_SIGMAS * estimate.sigma_deg
     return PressResult(press.name, press.readable, tuple(errors), frames, confident)
 
 

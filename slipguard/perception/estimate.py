@@ -27,8 +27,8 @@ class AxisEstimate:
 class Estimate:
     """The rotation of the object in one finger's image since the reference.
 
-    angle_deg: signed, unwrapped rotation since the reference, counter-clockwise positive as a viewer sees the image.
-    sigma_deg: one standard deviation of `angle_deg`; None exactly where `angle_deg` is None.
+    rotation_deg: signed, unwrapped rotation since the reference, counter-clockwise positive as a viewer sees the image.
+    sigma_deg: one standard deviation of `rotation_deg`; None exactly where `rotation_deg` is None.
     orientation_deg: axial orientation now, in (-90, 90].
     rate_deg_s: filtered rotation rate; None if unknown.
     shift_mm: (right, up) of the patch center since the reference; None before it.
@@ -44,7 +44,7 @@ class Estimate:
     contact: bool
     contact_area_px: int
     method: str
-    angle_deg: float | None = None
+    rotation_deg: float | None = None
     sigma_deg: float | None = None
     orientation_deg: float | None = None
     rate_deg_s: float | None = None

@@ -184,7 +184,7 @@ class Pipeline:
             contact=True,
             contact_area_px=patch.area_px,
             method=self._settings.estimator,
-            angle_deg=rotation.rotation_deg,
+            rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
             orientation_deg=None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg),
             rate_deg_s=None if rotation.rotation_deg is None else self._meter.rate_deg_s(now_s),
@@ -235,10 +235,10 @@ class Pipeline:
             return None
         if last.contact and self._meter.reference is None:
             return None  # a reference needs measured frames
-        if not changes.at_rest(now_s) or (last.contact and not changes.sensitive(last.angle_deg is not None)):
+        if not changes.at_rest(now_s) or (last.contact and not changes.sensitive(last.rotation_deg is not None)):
             return None
         rate = last.rate_deg_s
-        if last.angle_deg is not None:
+        if last.rotation_deg is not None:
             self._meter.note_unchanged(now_s)
             rate = self._meter.rate_deg_s(now_s)
         return replace(last, sequence=frame.sequence, captured_at_s=now_s, rate_deg_s=rate, skipped=UNCHANGED)

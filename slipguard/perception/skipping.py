@@ -71,7 +71,7 @@ def repeat_estimate(own: Estimate, captured_at_s: float, sequence: int) -> Estim
 
 def _disagree(own: Estimate, other: Estimate) -> bool:
     """Return whether the fingers report different rotations; the two images see one rotation with opposite signs."""
-    if own.angle_deg is None or own.sigma_deg is None or other.angle_deg is None or other.sigma_deg is None:
+    if own.rotation_deg is None or own.sigma_deg is None or other.rotation_deg is None or other.sigma_deg is None:
         return False
-    apart_deg = abs(own.angle_deg + other.angle_deg)
+    apart_deg = abs(own.rotation_deg + other.rotation_deg)
     return apart_deg > max(DISAGREE_DEG, DISAGREE_SIGMAS * math.hypot(own.sigma_deg, other.sigma_deg))

@@ -91,10 +91,12 @@ class ResumingPipeline:
             self._check(estimate, self._stored)
         if self.stored_reference_state == "waiting" and estimate.contact:
             declined = str(DeclineReason.CHECKING_STORED_REFERENCE)
-            return replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined=declined)
-        if estimate.angle_deg is None or not self.earlier_rotation_deg:
+            return replace(
+                estimate, rotation_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined=declined
+            )
+        if estimate.rotation_deg is None or not self.earlier_rotation_deg:
             return estimate
-        return replace(estimate, angle_deg=estimate.angle_deg + self.earlier_rotation_deg)
+        return replace(estimate, rotation_deg=estimate.rotation_deg + self.earlier_rotation_deg)
 
     def keep_estimate(self, captured_at_s: float) -> None:
         """Note a frame that is not processed because the other finger showed that nothing rotates."""
@@ -102,8 +104,8 @@ class ResumingPipeline:
 
     def _check(self, estimate: Estimate, stored: StoredReference) -> None:
         """Count whether rotations can be measured against the stored reference, and decide."""
-        self._matching_frames += estimate.angle_deg is not None
-        self._differing_frames += estimate.angle_deg is None
+        self._matching_frames += estimate.rotation_deg is not None
+        self._differing_frames += estimate.rotation_deg is None
         if self._matching_frames >= MATCHES_AFTER:
             self.stored_reference_state, self._stored = "matches", None
         elif self._differing_frames >= DIFFERS_AFTER:

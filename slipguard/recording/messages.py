@@ -20,7 +20,7 @@ from slipguard.control.messages import Observation, StepOutput
 from slipguard.errors import InputError
 from slipguard.perception.estimate import Estimate
 
-FORMAT = "2"
+FORMAT = "3"
 FINGERS = ("left", "right")
 CAMERA = "camera"
 """Source name of the external camera in the recordings of an experiment."""

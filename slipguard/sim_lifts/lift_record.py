@@ -67,7 +67,7 @@ class LiftRecord:
             estimate.captured_at_s
             for name in FINGERS
             for estimate in self.estimates[name]
-            if estimate.angle_deg is not None
+            if estimate.rotation_deg is not None
         ]
         return min(firsts, default=None)
 
@@ -83,9 +83,9 @@ class LiftRecord:
     def measured(self, finger: str) -> list[EstimatedRotation]:
         """Return the estimates of one finger with the sign of the left image."""
         return [
-            EstimatedRotation(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.angle_deg, estimate.sigma_deg)
+            EstimatedRotation(estimate.captured_at_s, IMAGE_SIGN[finger] * estimate.rotation_deg, estimate.sigma_deg)
             for estimate in self.estimates[finger]
-            if estimate.angle_deg is not None and estimate.sigma_deg is not None
+            if estimate.rotation_deg is not None and estimate.sigma_deg is not None
         ]
 
     def errors_deg(self, estimated: list[EstimatedRotation]) -> NDArray[np.float64]:

@@ -161,9 +161,9 @@ def _begin_holding(product: ProductFunctions) -> TrialFunction:
             estimate = results.call("pipeline", one.pipeline.process, one.next_frame())
             if estimate is None:
                 return
-            results.check_angle(one.name, estimate.angle_deg, estimate.sigma_deg, 0.0, axial=False)
-            if estimate.angle_deg is not None and math.isfinite(estimate.angle_deg):
-                one.rotations_deg.append(estimate.angle_deg)
+            results.check_angle(one.name, estimate.rotation_deg, estimate.sigma_deg, 0.0, axial=False)
+            if estimate.rotation_deg is not None and math.isfinite(estimate.rotation_deg):
+                one.rotations_deg.append(estimate.rotation_deg)
             if one.frame % CYCLE_FRAMES == 0 and one.rotations_deg:
                 mean = float(np.mean(one.rotations_deg))
                 one.rotations_deg.clear()

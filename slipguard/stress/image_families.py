@@ -155,7 +155,7 @@ def _check_unrelated_images(
         image = unrelated_image(rng) if k % 2 else cast(Image, malformed(rng))
         estimate = results.call("pipeline, no gel image", pipeline.process, Frame(image, k * FRAME_S, k))
         if estimate is not None:
-            results.check_angle("pipeline, no gel image", estimate.angle_deg, estimate.sigma_deg, None, axial=False)
+            results.check_angle("pipeline, no gel image", estimate.rotation_deg, estimate.sigma_deg, None, axial=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,10 +126,10 @@ def _check_bad_pixels(clean: Map, bad: Map, product: ProductFunctions, results: 
 
 
 def _finger_estimate(
-    angle_deg: float | None, sigma_deg: float | None, rate_deg_s: float | None, at_s: float
+    rotation_deg: float | None, sigma_deg: float | None, rate_deg_s: float | None, at_s: float
 ) -> Estimate:
     return Estimate(
-        1, at_s, at_s, True, 4000, "fused", angle_deg=angle_deg, sigma_deg=sigma_deg, rate_deg_s=rate_deg_s,
+        1, at_s, at_s, True, 4000, "fused", rotation_deg=rotation_deg, sigma_deg=sigma_deg, rate_deg_s=rate_deg_s,
         shift_mm=(0.1, -0.2),
     )  # fmt: skip
 
@@ -164,7 +164,9 @@ def _check_odd_number(
     which = int(rng.integers(2))
     one = pair[which] or _finger_estimate(1.0, 1.0, 0.0, 1.0)
     odd = ODD_NUMBERS[int(rng.integers(len(ODD_NUMBERS)))]
-    field = ("angle_deg", "sigma_deg", "rate_deg_s", "shift_mm", "captured_at_s", "measured_at_s")[int(rng.integers(6))]
+    field = ("rotation_deg", "sigma_deg", "rate_deg_s", "shift_mm", "captured_at_s", "measured_at_s")[
+        int(rng.integers(6))
+    ]
     value: Any = (0.0, odd) if field == "shift_mm" else odd
     broken = list(pair)
     broken[which] = replace(one, **{field: value})

@@ -122,7 +122,7 @@ class FamilyResults:
     def check_rotation(self, label: str, estimate: Estimate, truth_deg: float | None) -> float | None:
         """Check the rotation of a pipeline's estimate, as `check_angle` does, and that its other fields are finite."""
         self.check_finite("pipeline", estimate.orientation_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
-        return self.check_angle(label, estimate.angle_deg, estimate.sigma_deg, truth_deg, axial=False)
+        return self.check_angle(label, estimate.rotation_deg, estimate.sigma_deg, truth_deg, axial=False)
 
     def check_limit(self, what: str, value: float, at_most: float) -> None:
         """Keep the largest value, and count a failure if it exceeds the specified limit or is not finite."""

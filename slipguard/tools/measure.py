@@ -70,7 +70,7 @@ def as_json(measured: FrameMeasurement) -> dict[str, Any]:
         "frame": measured.frame.name,
         "contact": estimate.contact,
         "contact_area_px": estimate.contact_area_px,
-        "angle_deg": _rounded(estimate.angle_deg),
+        "angle_deg": _rounded(estimate.rotation_deg),
         "orientation_deg": _rounded(estimate.orientation_deg),
         "sigma_deg": _rounded(estimate.sigma_deg),
         "method": estimate.method,
@@ -101,7 +101,7 @@ def plot(results: list[FrameMeasurement], path: Path, background_known: bool) ->
     drawing = figure(9.0, 6.5)
     rotation, axis, area = drawing.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
     number = np.arange(len(results))
-    angle = _series([r.estimate.angle_deg for r in results])
+    angle = _series([r.estimate.rotation_deg for r in results])
     sigma = _series([r.estimate.sigma_deg for r in results])
     rotation.fill_between(number, angle - 2.0 * sigma, angle + 2.0 * sigma, alpha=0.25, label="± 2 sigma")
     rotation.plot(number, angle, marker=".", label="rotation since the reference")

@@ -232,7 +232,7 @@ class _RecordingPlayer:
 
 
 def _rotation(estimate: Estimate | None) -> float | None:
-    return None if estimate is None else estimate.angle_deg
+    return None if estimate is None else estimate.rotation_deg
 
 
 def _plain(estimate: Estimate | None) -> Estimate | None:

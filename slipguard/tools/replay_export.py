@@ -21,7 +21,7 @@ VIDEO_FPS = 30.0
 FRAME_SIZE = (240, 320)
 CONTOUR_BGR = (80, 240, 80)
 ESTIMATE_COLUMNS = (
-    "finger", "wall_ns", "sequence", "captured_at_s", "measured_at_s", "contact", "contact_area_px", "angle_deg",
+    "finger", "wall_ns", "sequence", "captured_at_s", "measured_at_s", "contact", "contact_area_px", "rotation_deg",
     "sigma_deg", "orientation_deg", "rate_deg_s", "shift_right_mm", "shift_up_mm", "skipped", "declined", "refused",
 )  # fmt: skip
 TICK_COLUMNS = (
@@ -73,7 +73,15 @@ def _estimate_row(item: RecordedItem, judged: m.FrameRecord) -> list[Any]:
     if e is None:
         return [*head, *[None] * 11, judged.refused]
     right_mm, up_mm = e.shift_mm if e.shift_mm is not None else (None, None)
-    values = [e.measured_at_s, e.contact, e.contact_area_px, e.angle_deg, e.sigma_deg, e.orientation_deg, e.rate_deg_s]
+    values = [
+        e.measured_at_s,
+        e.contact,
+        e.contact_area_px,
+        e.rotation_deg,
+        e.sigma_deg,
+        e.orientation_deg,
+        e.rate_deg_s,
+    ]
     return [*head, *values, right_mm, up_mm, e.skipped, e.declined, None]
 
 
@@ -148,8 +156,8 @@ def _annotated(
         contours, _ = cv2.findContours(mask[..., 0], cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(drawing, contours, -1, CONTOUR_BGR, 1)
     lines_of_text = []
-    if estimate is not None and estimate.angle_deg is not None and estimate.sigma_deg is not None:
-        lines_of_text.append(f"{estimate.angle_deg:+.1f} +- {estimate.sigma_deg:.1f} deg")
+    if estimate is not None and estimate.rotation_deg is not None and estimate.sigma_deg is not None:
+        lines_of_text.append(f"{estimate.rotation_deg:+.1f} +- {estimate.sigma_deg:.1f} deg")
     elif estimate is not None:
         lines_of_text.append(estimate.declined or "no reference")
     if force_n is not None:

@@ -30,9 +30,9 @@ def fit_errors(object_name: str, grasps: int = FULL_GRASPS) -> PerceptionErrors:
         found = [(shot, pipeline.process(shot.frame)) for shot in grasp.shots]
         compared = [(shot, estimate) for shot, estimate in found if shot.compared]
         estimated = [
-            (shot.rotation_deg, estimate.angle_deg - shot.rotation_deg, estimate.sigma_deg or 0.0)
+            (shot.rotation_deg, estimate.rotation_deg - shot.rotation_deg, estimate.sigma_deg or 0.0)
             for shot, estimate in compared
-            if estimate.angle_deg is not None
+            if estimate.rotation_deg is not None
         ]
         compared_frames, declined = compared_frames + len(compared), declined + len(compared) - len(estimated)
         if len(estimated) < MIN_ESTIMATES:

@@ -127,7 +127,7 @@ class Oracle:
         self.track = (value + ALPHA * (rotation_deg - value), rate + BETA * (rotation_deg - value) / passed_s)
         self.tracked_s = now_s
         return replace(
-            plain, angle_deg=rotation_deg, sigma_deg=SIGMA_DEG, orientation_deg=0.0,
+            plain, rotation_deg=rotation_deg, sigma_deg=SIGMA_DEG, orientation_deg=0.0,
             rate_deg_s=self.track[1], shift_mm=shift_mm,
         )  # fmt: skip
 

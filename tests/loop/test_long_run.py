@@ -110,7 +110,7 @@ def test_an_estimate_computed_during_a_reset_of_the_reference_is_dropped() -> No
         await finger.has_estimate.wait()
         assert finger.newest is not None
         assert finger.newest.estimate.sequence > under_way
-        assert finger.newest.estimate.angle_deg is None
+        assert finger.newest.estimate.rotation_deg is None
 
     play(Cell("wrench", 1, latency_s=0.03), scene)
 

@@ -27,8 +27,8 @@ def measured(folder: Path, frames: list[Path], begin: int) -> list[float]:
     rotations = []
     for index, path in enumerate(frames):
         estimate = pipeline.process(Frame(cv2.imread(str(path)), index * FRAMES_APART / 60.0, index))
-        if index >= begin and estimate.angle_deg is not None:
-            rotations.append(abs(estimate.angle_deg))
+        if index >= begin and estimate.rotation_deg is not None:
+            rotations.append(abs(estimate.rotation_deg))
     print(
         f"{len(rotations)} of {len(frames) - begin} estimated, p95 {np.percentile(rotations, 95):.2f}°, "
         f"largest {max(rotations):.2f}°"

@@ -58,12 +58,12 @@ def ask(kind: RequestKind, **values: float) -> ControlRequest:
 
 
 def estimate(
-    angle_deg: float | None = 0.0, sigma_deg: float | None = 0.5, *, at_s: float = 0.0, rate_deg_s: float | None = None,
-    contact: bool = True, shift_mm: tuple[float, float] | None = None, declined: str | None = None,
-    measured_s: float | None = None,
+    rotation_deg: float | None = 0.0, sigma_deg: float | None = 0.5, *, at_s: float = 0.0,
+    rate_deg_s: float | None = None, contact: bool = True, shift_mm: tuple[float, float] | None = None,
+    declined: str | None = None, measured_s: float | None = None,
 ) -> Estimate:  # fmt: skip
     return Estimate(
         1, at_s, at_s if measured_s is None else measured_s, contact, 4000, "fused",
-        angle_deg=angle_deg, sigma_deg=None if angle_deg is None else sigma_deg,
+        rotation_deg=rotation_deg, sigma_deg=None if rotation_deg is None else sigma_deg,
         rate_deg_s=rate_deg_s, shift_mm=shift_mm, declined=declined,
     )  # fmt: skip

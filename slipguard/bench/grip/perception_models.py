@@ -121,7 +121,7 @@ class ModeledFinger:
             True,
             4000,
             "model",
-            angle_deg=rotation.rotation_deg,
+            rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
             orientation_deg=None if rotation.rotation_deg is None else 0.0,
             rate_deg_s=None if rotation.rotation_deg is None else self._tracker.rate_deg_s(captured_at_s),

@@ -199,11 +199,11 @@ class ReferenceSaver:
         pipeline, newest = finger.pipeline, finger.newest
         if not isinstance(pipeline, ResumingPipeline) or newest is None or finger.serial is None:
             return None
-        image, angle_deg = pipeline.reference_image, newest.estimate.angle_deg
-        if image is None or angle_deg is None:
+        image, rotation_deg = pipeline.reference_image, newest.estimate.rotation_deg
+        if image is None or rotation_deg is None:
             return None
         earlier_deg = pipeline.earlier_rotation_deg
-        known = StoredReference(image, angle_deg - earlier_deg, earlier_deg)
+        known = StoredReference(image, rotation_deg - earlier_deg, earlier_deg)
         before = self._saved.get(name)
         if (
             before is not None

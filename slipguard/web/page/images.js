@@ -86,7 +86,7 @@ class FingerView {
     this.figure.classList.toggle("outdated", !live);
     setText(this.serial, finger.serial ?? "not found yet");
     const estimate = finger.estimate;
-    const rotation = estimate ? rotationText(estimate.angle_deg, estimate.sigma_deg) : "no estimate";
+    const rotation = estimate ? rotationText(estimate.rotation_deg, estimate.sigma_deg) : "no estimate";
     const contact = !estimate ? "not known" : estimate.contact ? "yes" : "no";
     const age_s = finger.age_s ?? null;
     const declined = live && estimate?.contact ? estimate.declined : null;

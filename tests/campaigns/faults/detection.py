@@ -111,7 +111,7 @@ def _hidden(device: str, fault: str, cell: CampaignCell) -> bool:
 
 def _both_rotated(cell: CampaignCell) -> bool:
     newest = [finger.newest for finger in cell.service.fingers.values()]
-    rotations = [abs(one.estimate.angle_deg or 0.0) for one in newest if one is not None]
+    rotations = [abs(one.estimate.rotation_deg or 0.0) for one in newest if one is not None]
     observation = cell.service.observation
     both = observation is not None and observation.fused is not None and len(observation.fused.fingers) == 2
     return both and len(rotations) == 2 and min(rotations) > OBSERVABLE_DEG

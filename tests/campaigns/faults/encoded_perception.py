@@ -36,12 +36,12 @@ class EncodedImagePerception:
         view, light = decode_view(frame.image)
         estimate = self._model.process(view, frame.captured_at_s, frame.sequence)
         if max(abs(level) for level in light) > BRIGHT_LEVELS:
-            plain = replace(estimate, angle_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)
+            plain = replace(estimate, rotation_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)
             return replace(plain, contact=True, orientation_deg=None, declined=str(DeclineReason.UNLIKE_BACKGROUND))
         if not estimate.contact:
             return replace(estimate, skipped="no contact", declined="no contact")
-        if estimate.angle_deg is None and estimate.declined is None:
+        if estimate.rotation_deg is None and estimate.declined is None:
             return replace(estimate, declined="no reference yet")
-        if self.mirrored and estimate.angle_deg is not None:
-            return replace(estimate, angle_deg=-estimate.angle_deg, rate_deg_s=-(estimate.rate_deg_s or 0.0))
+        if self.mirrored and estimate.rotation_deg is not None:
+            return replace(estimate, rotation_deg=-estimate.rotation_deg, rate_deg_s=-(estimate.rate_deg_s or 0.0))
         return estimate

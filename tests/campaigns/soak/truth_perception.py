@@ -72,7 +72,7 @@ class WorldTruthPerception:
         self._track(rotation_deg - self._reference[0], at_s)
         return replace(
             plain,
-            angle_deg=self._rotation_deg,
+            rotation_deg=self._rotation_deg,
             sigma_deg=SIGMA_DEG,
             orientation_deg=0.0,
             rate_deg_s=self._rate_deg_s,

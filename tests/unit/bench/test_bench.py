@@ -169,7 +169,7 @@ def test_background_subtraction_has_the_right_sign() -> None:
     compared = [shot for shot in grasp.shots if shot.compared]
     for axis in ("pca", "ellipse"):
         pipeline = BackgroundSubtraction(grasp.background, "ellipse" if axis == "ellipse" else "pca")
-        estimates = [pipeline.process(shot.frame).angle_deg for shot in compared]
+        estimates = [pipeline.process(shot.frame).rotation_deg for shot in compared]
         truth = [shot.rotation_deg - compared[0].rotation_deg for shot in compared]
         assert np.corrcoef(np.array(estimates, float), truth)[0, 1] > 0.95
 
@@ -181,7 +181,7 @@ def test_axes_are_counter_clockwise_and_rotate_by_less_than_90_degrees() -> None
     estimates = [
         rotation.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, k), 80.0 + 15.0 * k, 900, "pca") for k in range(5)
     ]
-    assert [one.angle_deg for one in estimates] == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
+    assert [one.rotation_deg for one in estimates] == pytest.approx([0.0, 15.0, 30.0, 45.0, 60.0])
     assert rotation.estimate(Frame(np.zeros((1, 1, 3), np.uint8), 0.0, 9), math.nan, 900, "pca").declined
 
 
@@ -228,7 +228,7 @@ def test_the_paper_pipeline_runs_with_the_timing_network() -> None:
     assert network.timing_only
     pipeline = PaperPipeline(network, masks)
     estimates = [pipeline.process(shot.frame) for shot in grasp.shots[-3:]]
-    assert all(one.contact and one.angle_deg is not None and one.sigma_deg is None for one in estimates)
+    assert all(one.contact and one.rotation_deg is not None and one.sigma_deg is None for one in estimates)
     assert network.segment(grasp.shots[0].frame.image, None).shape == (160, 120)
     assert pipeline.last_mask.shape == (320, 240)
     pipeline_under_test = BenchPipeline("paper", "peer", "skeleton", PEER_PATH, "frame", "240×320")

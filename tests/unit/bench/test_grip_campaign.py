@@ -99,10 +99,10 @@ def test_the_error_model_takes_a_reference_and_has_the_given_errors() -> None:
         PerceptionErrors(0.0, 0.1, 0.0, 0.2, 0.0), np.random.default_rng(1), RotationDrift(0.5, 40.0, 0.0)
     )
     at_rest = [finger.process(GelView("key", angle_deg=20.0, depth_mm=0.5), 0.02 * k, k) for k in range(6)]
-    assert [one.angle_deg is None for one in at_rest] == [True] * 4 + [False] * 2
+    assert [one.rotation_deg is None for one in at_rest] == [True] * 4 + [False] * 2
     rotated = finger.process(GelView("key", angle_deg=40.0, depth_mm=0.5), 0.14, 7)
-    assert rotated.angle_deg == pytest.approx(20.0, abs=6.0)
-    assert rotated.angle_deg != pytest.approx(20.0, abs=1e-3)
+    assert rotated.rotation_deg == pytest.approx(20.0, abs=6.0)
+    assert rotated.rotation_deg != pytest.approx(20.0, abs=1e-3)
     assert rotated.sigma_deg == 0.2
     assert not finger.process(GelView("key"), 0.16, 8).contact
     declining = ModeledFinger(PerceptionErrors(declined=1.0), np.random.default_rng(1))

@@ -60,7 +60,7 @@ def test_a_single_frame_has_the_same_error_in_both_fingers() -> None:
     assert abs(off["left"].deg) == 0.6
     finger_model = ModeledFinger(PerceptionErrors(0.0, 0.0, 0.0, 0.1, 0.0), np.random.default_rng(1))
     finger_model.add_outliers(RotationOutliers((1.0,), 0.6))
-    rotations = [finger_model.process(GelView("key", depth_mm=0.5), 0.9 + 0.02 * k, k).angle_deg for k in range(12)]
+    rotations = [finger_model.process(GelView("key", depth_mm=0.5), 0.9 + 0.02 * k, k).rotation_deg for k in range(12)]
     assert rotations[5:] == [pytest.approx(0.6), *[pytest.approx(0.0, abs=1e-9)] * 6]
 
 

@@ -17,7 +17,7 @@ from tests.campaigns.faults.kinds import KINDS, RANKS, PlannedFault
 
 
 def newest(rotation_deg: float | None) -> SimpleNamespace:
-    return SimpleNamespace(estimate=SimpleNamespace(angle_deg=rotation_deg))
+    return SimpleNamespace(estimate=SimpleNamespace(rotation_deg=rotation_deg))
 
 
 def rig(phase: Phase = Phase.HOLDING, rotations_deg: tuple[float, float] = (5.0, -5.0)) -> Any:

@@ -169,5 +169,5 @@ def test_a_dark_or_overexposed_camera_never_gives_an_angle(level: int) -> None:
             response = pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), 0.03 * number, number))
         except FrameCorrupt:
             continue
-        assert response.angle_deg is None
+        assert response.rotation_deg is None
         assert response.orientation_deg is None

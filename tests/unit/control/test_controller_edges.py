@@ -94,9 +94,9 @@ def test_a_gripper_above_the_force_limit_is_never_commanded_to_tighten() -> None
 @pytest.mark.parametrize(
     "bad",
     [
-        {"angle_deg": float("nan")},
-        {"angle_deg": float("inf")},
-        {"angle_deg": 2e6},
+        {"rotation_deg": float("nan")},
+        {"rotation_deg": float("inf")},
+        {"rotation_deg": 2e6},
         {"sigma_deg": float("nan")},
         {"sigma_deg": -0.1},
         {"sigma_deg": 181.0},

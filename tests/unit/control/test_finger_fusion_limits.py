@@ -28,7 +28,7 @@ def test_both() -> None:
 
 
 def test_one_declines() -> None:
-    without_estimate = changed(RIGHT, angle_deg=None, sigma_deg=None, declined="round contact")
+    without_estimate = changed(RIGHT, rotation_deg=None, sigma_deg=None, declined="round contact")
     assert fuse(LEFT, without_estimate) == FusedEstimate(
         True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
     )
@@ -41,7 +41,7 @@ def test_one_is_silent() -> None:
 
 
 def test_both_decline() -> None:
-    without_estimate = [changed(one, angle_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
+    without_estimate = [changed(one, rotation_deg=None, sigma_deg=None, declined=None) for one in (LEFT, RIGHT)]
     away = changed(without_estimate[1], contact=False, shift_mm=None)
     assert fuse(without_estimate[0], away) == FusedEstimate(
         True,
@@ -55,7 +55,7 @@ def test_both_decline() -> None:
 
 
 def test_the_later_one_is_moved_back_by_its_own_rate() -> None:
-    late = changed(RIGHT, captured_at_s=8.0625, angle_deg=-4.375, sigma_deg=0.5)
+    late = changed(RIGHT, captured_at_s=8.0625, rotation_deg=-4.375, sigma_deg=0.5)
     answer = fuse(LEFT, late)
     assert answer is not None
     assert answer.captured_at_s == 8.0
@@ -87,7 +87,7 @@ def test_without_a_rate_only_the_newer_counts() -> None:
 
 
 def test_disagreement_is_worth_less() -> None:
-    far = changed(RIGHT, angle_deg=-7.0, sigma_deg=0.5)
+    far = changed(RIGHT, rotation_deg=-7.0, sigma_deg=0.5)
     answer = fuse(LEFT, far)
     assert answer is not None
     assert answer.conflict is None
@@ -95,20 +95,20 @@ def test_disagreement_is_worth_less() -> None:
     assert answer.sigma_deg == pytest.approx(0.5 / 2**0.5 * 3.0 / (0.5 * 2**0.5))
 
 
-@pytest.mark.parametrize(("angle_deg", "rotation_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
-def test_the_same_sign_in_both_images(angle_deg: float, rotation_deg: float, sigma_deg: float) -> None:
-    answer = fuse(LEFT, changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.25))
+@pytest.mark.parametrize(("right_deg", "fused_deg", "sigma_deg"), [(6.0, -6.0, 0.25), (3.0, 4.0, 0.5)])
+def test_the_same_sign_in_both_images(right_deg: float, fused_deg: float, sigma_deg: float) -> None:
+    answer = fuse(LEFT, changed(RIGHT, rotation_deg=right_deg, sigma_deg=0.25))
     assert answer is not None
-    assert (answer.rotation_deg, answer.sigma_deg) == (rotation_deg, sigma_deg)
+    assert (answer.rotation_deg, answer.sigma_deg) == (fused_deg, sigma_deg)
     assert answer.conflict == (
-        f"both images rotate the same way (left +4.0°, right +{angle_deg:.1f}°): "
+        f"both images rotate the same way (left +4.0°, right +{right_deg:.1f}°): "
         "a fault of one finger, or the object rolls"
     )
 
 
-@pytest.mark.parametrize(("angle_deg", "opposite"), [(1.5, False), (1.625, True)])
-def test_an_uncertain_rotation_contradicts_no_finger(angle_deg: float, opposite: bool) -> None:
-    answer = fuse(changed(LEFT, angle_deg=1.75), changed(RIGHT, angle_deg=angle_deg, sigma_deg=0.5))
+@pytest.mark.parametrize(("right_deg", "opposite"), [(1.5, False), (1.625, True)])
+def test_an_uncertain_rotation_contradicts_no_finger(right_deg: float, opposite: bool) -> None:
+    answer = fuse(changed(LEFT, rotation_deg=1.75), changed(RIGHT, rotation_deg=right_deg, sigma_deg=0.5))
     assert answer is not None
     assert (answer.conflict is not None) is opposite
 
@@ -130,8 +130,8 @@ def test_one_finger_rotates_alone(
     left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None
 ) -> None:
     """Beyond 3 degrees, a tenth of the rotation and five combined standard deviations, the larger one is used."""
-    left = changed(LEFT, angle_deg=left_deg, sigma_deg=sigma_deg)
-    right = changed(RIGHT, angle_deg=right_deg, sigma_deg=sigma_deg)
+    left = changed(LEFT, rotation_deg=left_deg, sigma_deg=sigma_deg)
+    right = changed(RIGHT, rotation_deg=right_deg, sigma_deg=sigma_deg)
     answer = fuse(left, right)
     assert answer is not None
     assert answer.fingers == ("left", "right")
@@ -149,7 +149,7 @@ def test_one_finger_rotates_alone(
     assert answer.captured_at_s == 8.0
 
 
-@pytest.mark.parametrize("bad", [{"angle_deg": float("nan")}, {"sigma_deg": -1.0}])
+@pytest.mark.parametrize("bad", [{"rotation_deg": float("nan")}, {"sigma_deg": -1.0}])
 def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
     answer = fuse(changed(LEFT, **bad), None)  # type: ignore[arg-type]
     assert answer == FusedEstimate(

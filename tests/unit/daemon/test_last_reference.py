@@ -83,7 +83,7 @@ async def test_a_restart_continues_with_the_reference_and_reports_it(tmp_path: P
     keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
     new.sees(15.0)
     await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
-    assert new.newest.estimate.angle_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
+    assert new.newest.estimate.rotation_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
     assert said == ["left finger: continues with the reference from before the restart"]
     assert json.loads((tmp_path / "left.json").read_text())["rotation_deg"] == pytest.approx(15.0, abs=0.5)
 

@@ -96,6 +96,6 @@ def test_a_rotation_is_measured_with_many_dead_lines_and_the_mask_has_no_gaps() 
     for spoil in (np.copy, drawn_over):
         pipeline = Pipeline(segmenter, PerceptionSettings(), spoil(shown.background), shown.noise_bgr, 18.5)
         estimates = [pipeline.process(Frame(spoil(one), k / 60, k)) for k, one in enumerate(shown.frames)]
-        assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=1.5)
+        assert estimates[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=1.5)
         measured.append(estimates[-1])
     assert measured[1].contact_area_px == pytest.approx(measured[0].contact_area_px, rel=0.05)

@@ -123,7 +123,7 @@ def test_a_contact_with_16_levels_is_declined_and_with_64_levels_is_measured() -
         if declined:
             assert {one.decline_reason for one in estimates} == {DeclineReason.FEW_LEVELS}
         else:
-            assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
+            assert estimates[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -150,7 +150,7 @@ def test_a_contact_in_strong_noise_is_declined_and_in_moderate_noise_is_measured
         if declined:
             assert DeclineReason.NOISY in {one.decline_reason for one in estimates}
         else:
-            assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
+            assert estimates[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
 @pytest.mark.parametrize("number", range(8))
@@ -186,7 +186,7 @@ def test_a_coarsely_compressed_contact_is_declined_and_a_finer_one_is_measured(c
         if declined:
             assert {one.decline_reason for one in estimates} == {DeclineReason.COMPRESSED}
         else:
-            assert estimates[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
+            assert estimates[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
 @pytest.mark.parametrize("seed", [821, 3063, 5344, 6649, 7545])
@@ -200,12 +200,12 @@ def test_no_certain_rotation_is_wrong_because_of_blocks_levels_or_noise(seed: in
 def test_a_contact_in_the_dark_is_declined(exponent: float, gain: float) -> None:
     estimates = estimates_in_light(exponent, gain)
     assert DeclineReason.DARK in {one.decline_reason for one in estimates}
-    assert {one.angle_deg for one in estimates} == {None}
+    assert {one.rotation_deg for one in estimates} == {None}
 
 
 def test_half_the_light_is_enough() -> None:
     last = estimates_in_light(1.0, 0.5)[-1]
-    assert abs((last.angle_deg or 0.0) + 20.0) < min(2.0, 4.0 * (last.sigma_deg or 0.0))
+    assert abs((last.rotation_deg or 0.0) + 20.0) < min(2.0, 4.0 * (last.sigma_deg or 0.0))
 
 
 @pytest.mark.parametrize("number", [12, 17, 20])
@@ -213,10 +213,10 @@ def test_a_blurred_faint_contact_is_declined_and_makes_no_reference(number: int)
     shown = rotated_grasp(number)
     pipeline, estimates = measured(shown.background, [blurred(image, 9.3) for image in shown.frames], shown.noise_bgr)
     assert {one.decline_reason for one in estimates if one.contact} == {DeclineReason.OUT_OF_FOCUS}
-    assert not [one for one in estimates if one.angle_deg is not None]
+    assert not [one for one in estimates if one.rotation_deg is not None]
     assert not pipeline.has_reference
     sharp = [pipeline.process(Frame(one, (20 + k) / 60, 20 + k)) for k, one in enumerate(shown.frames)]
-    assert sharp[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
+    assert sharp[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 1.5, 3.0, 9.0, 15.0])
@@ -309,9 +309,9 @@ def test_a_change_of_light_after_the_reference_increases_sigma() -> None:
         for k, image in enumerate(shown.frames[:8]):
             lit = image if k < 6 else np.clip(image + tilt * slope, 0, 255).astype(np.uint8)
             last_estimate = pipeline.process(Frame(lit, k / 60, k))
-        assert last_estimate.angle_deg is not None
+        assert last_estimate.rotation_deg is not None
         assert last_estimate.sigma_deg is not None
-        return last_estimate.angle_deg, last_estimate.sigma_deg
+        return last_estimate.rotation_deg, last_estimate.sigma_deg
 
     (_, steady), (rotated, tilted) = last(0.0), last(1.0)
     assert tilted > steady + 0.5
@@ -357,7 +357,7 @@ def test_other_light_gives_no_rotation_and_no_reference(what: str, strength: flo
     assert {last_estimate.decline_reason for last_estimate in estimates if last_estimate.contact} <= {
         DeclineReason.UNLIKE_BACKGROUND
     }
-    assert not [last_estimate for last_estimate in estimates if last_estimate.angle_deg is not None]
+    assert not [last_estimate for last_estimate in estimates if last_estimate.rotation_deg is not None]
     assert not pipeline.has_reference
     clean = [pipeline.process(Frame(image, (20 + k) / 60, 20 + k)) for k, image in enumerate(shown.frames)]
-    assert clean[-1].angle_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
+    assert clean[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)

@@ -15,9 +15,9 @@ from slipguard.perception.rotation.axis import estimate_axis
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
-@pytest.mark.parametrize("field", ["angle_deg", "sigma_deg", "rate_deg_s"])
+@pytest.mark.parametrize("field", ["rotation_deg", "sigma_deg", "rate_deg_s"])
 def test_a_finger_with_values_that_are_not_finite_is_declined(field: str, bad: float) -> None:
-    values = {"angle_deg": 10.0, "sigma_deg": 0.5, "rate_deg_s": 0.0, field: bad}
+    values = {"rotation_deg": 10.0, "sigma_deg": 0.5, "rate_deg_s": 0.0, field: bad}
     fused = fuse(said(**values), said(-12.0, rate_deg_s=0.0))  # type: ignore[arg-type]
     assert fused is not None
     assert fused.rotation_deg == pytest.approx(12.0)

@@ -140,10 +140,10 @@ def test_a_gap_long_enough_for_a_period_makes_the_rotation_ambiguous(
 ) -> None:
     held = Held(surface)
     for _ in range(3):
-        assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
+        assert held.see(0.0).rotation_deg == pytest.approx(0.0, abs=0.5)
     after = [held.see(rotation_deg, gap_s), *(held.see(rotation_deg) for _ in range(10))]
     assert {one.decline_reason for one in after} == {DeclineReason.PERIOD_AMBIGUOUS}
-    assert {one.angle_deg for one in after} == {None}
+    assert {one.rotation_deg for one in after} == {None}
 
 
 @pytest.mark.parametrize("surface", [gear, nut, lettered])
@@ -151,15 +151,15 @@ def test_one_or_two_lost_frames_are_bridged(surface: Surface) -> None:
     held = Held(surface)
     for _ in range(3):
         held.see(0.0)
-    assert held.see(4.0, 2.0 * FRAME_S).angle_deg == pytest.approx(4.0, abs=0.5)
-    assert held.see(8.0, 2.0 * FRAME_S).angle_deg == pytest.approx(8.0, abs=0.5)
+    assert held.see(4.0, 2.0 * FRAME_S).rotation_deg == pytest.approx(4.0, abs=0.5)
+    assert held.see(8.0, 2.0 * FRAME_S).rotation_deg == pytest.approx(8.0, abs=0.5)
 
 
 def test_other_textures_are_measured_after_any_gap() -> None:
     held = Held(lettered)
     for _ in range(3):
         held.see(0.0)
-    assert held.see(8.0, 5.0).angle_deg == pytest.approx(8.0, abs=0.5)
+    assert held.see(8.0, 5.0).rotation_deg == pytest.approx(8.0, abs=0.5)
 
 
 @pytest.mark.parametrize(
@@ -168,9 +168,9 @@ def test_other_textures_are_measured_after_any_gap() -> None:
 def test_a_fast_rotation_may_have_stopped_in_a_gap(gap_s: float, on_deg: float, measured: bool) -> None:
     held = Held(gear)
     rotations = [0.0, 0.0, *(6.0 * k for k in range(1, 7))]
-    assert held.see(0.0).angle_deg is not None
-    assert [held.see(rotation).angle_deg for rotation in rotations] == pytest.approx(rotations, abs=0.5)
-    after = held.see(rotations[-1] + on_deg, gap_s).angle_deg
+    assert held.see(0.0).rotation_deg is not None
+    assert [held.see(rotation).rotation_deg for rotation in rotations] == pytest.approx(rotations, abs=0.5)
+    after = held.see(rotations[-1] + on_deg, gap_s).rotation_deg
     assert after == (pytest.approx(rotations[-1] + on_deg, abs=0.5) if measured else None)
 
 
@@ -178,9 +178,9 @@ def test_one_lost_frame_at_30_hz_is_bridged_for_fine_teeth() -> None:
     """A cap with 26 teeth."""
     held = Held(toothed(26))
     for _ in range(3):
-        assert held.see(0.0, 1.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
-    assert held.see(0.0, 2.0 / 30.0).angle_deg == pytest.approx(0.0, abs=0.5)
-    assert held.see(1.0, 2.0 / 30.0).angle_deg == pytest.approx(1.0, abs=0.5)
+        assert held.see(0.0, 1.0 / 30.0).rotation_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(0.0, 2.0 / 30.0).rotation_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(1.0, 2.0 / 30.0).rotation_deg == pytest.approx(1.0, abs=0.5)
     assert held.see(1.0, 3.0 / 30.0).declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
@@ -189,7 +189,7 @@ def test_a_jump_of_nearly_half_a_period_is_declined_for_that_frame_only() -> Non
     for _ in range(3):
         held.see(0.0)
     assert held.see(13.0).declined == DeclineReason.PERIOD_AMBIGUOUS
-    assert held.see(0.0).angle_deg == pytest.approx(0.0, abs=0.5)
+    assert held.see(0.0).rotation_deg == pytest.approx(0.0, abs=0.5)
     assert [held.see(13.0).declined for _ in range(6)] == [DeclineReason.PERIOD_AMBIGUOUS] * 6
 
 
@@ -203,7 +203,7 @@ def test_a_kept_estimate_bridges_a_gap() -> None:
             if kept:
                 held.pipe.keep_estimate(held.now_s + k * FRAME_S)
         measured[kept] = held.see(0.5, 13.0 * FRAME_S)
-    assert measured[True].angle_deg == pytest.approx(0.5, abs=0.3)
+    assert measured[True].rotation_deg == pytest.approx(0.5, abs=0.3)
     assert measured[False].declined == DeclineReason.PERIOD_AMBIGUOUS
 
 
@@ -221,7 +221,7 @@ def test_a_finger_that_the_daemon_skips_stays_unambiguous() -> None:
         repeated = finger._kept_estimate(Frame(frame_image, at_s, k), held.pipe)
         assert repeated is not None
         finger.newest = TimedEstimate(repeated, at_s, at_s)
-    assert held.see(0.5, 13.0 * FRAME_S).angle_deg == pytest.approx(0.5, abs=0.3)
+    assert held.see(0.5, 13.0 * FRAME_S).rotation_deg == pytest.approx(0.5, abs=0.3)
 
 
 def test_a_kept_estimate_does_not_resolve_an_ambiguity() -> None:
@@ -241,7 +241,7 @@ def test_an_axis_resolves_the_ambiguity() -> None:
     assert reference.texture is not None
     assert reference.texture.period_deg == pytest.approx(30.0, abs=2.0)
     after = [held.see(40.0, 2.0), held.see(42.0), held.see(44.0)]
-    assert [one.angle_deg for one in after] == pytest.approx([40.0, 42.0, 44.0], abs=0.5)
+    assert [one.rotation_deg for one in after] == pytest.approx([40.0, 42.0, 44.0], abs=0.5)
 
 
 def rendered(name: str, seed: int) -> tuple[Pipeline, GelCamera, GelView, int]:
@@ -266,6 +266,6 @@ def test_a_texture_searched_in_the_wrong_place_is_found_near_the_contour(seed: i
     rotated = GelView(view.object_name, view.x_mm, view.y_mm, view.angle_deg + rotation_deg, view.depth_mm)
     for k in range(3):
         last_estimate = pipe.process(Frame(camera.draw(rotated), (frames + k) * FRAME_S + 0.1, frames + k))
-        assert last_estimate.angle_deg == pytest.approx(rotation_deg, abs=2.0)
+        assert last_estimate.rotation_deg == pytest.approx(rotation_deg, abs=2.0)
         assert last_estimate.sigma_deg is not None
         assert last_estimate.sigma_deg < 0.5

@@ -52,7 +52,7 @@ def test_rotations_are_signed_and_cross_90_degrees(
 ) -> None:
     steps = list(np.linspace(before, now, 12))
     last = run(pipeline(estimator=estimator), "bar", [before] * 6 + steps)[-1]
-    assert last.angle_deg == pytest.approx(rotation, abs=1.0)
+    assert last.rotation_deg == pytest.approx(rotation, abs=1.0)
     assert last.orientation_deg is not None
     assert -90 < last.orientation_deg <= 90
     assert abs(axial_difference_deg(last.orientation_deg, now)) < 1.0
@@ -61,7 +61,7 @@ def test_rotations_are_signed_and_cross_90_degrees(
 
 def test_a_full_revolution_is_unwrapped() -> None:
     last = run(pipeline(), "key", [0.0] * 5 + [4.0 * k for k in range(1, 91)])[-1]
-    assert last.angle_deg == pytest.approx(360.0, abs=1.5)
+    assert last.rotation_deg == pytest.approx(360.0, abs=1.5)
     assert last.rate_deg_s == pytest.approx(240.0, rel=0.1)
 
 
@@ -72,8 +72,8 @@ def test_the_reference_is_the_first_stable_contact() -> None:
     assert {e.declined for e in growing} == {"no reference yet"}
     still = run(pipe, "bar", [20.0] * 6, start=6)
     assert pipe.has_reference
-    assert [e.angle_deg is None for e in still[:3]] == [True] * 3
-    assert still[-1].angle_deg == pytest.approx(0.0, abs=0.3)
+    assert [e.rotation_deg is None for e in still[:3]] == [True] * 3
+    assert still[-1].rotation_deg == pytest.approx(0.0, abs=0.3)
     assert pipe._meter.reference is not None
     assert pipe._meter.reference.patch.area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
 
@@ -81,8 +81,8 @@ def test_the_reference_is_the_first_stable_contact() -> None:
 def test_the_reference_may_be_the_first_contact() -> None:
     pipe = pipeline(reference="first")
     first, second = run(pipe, "bar", [20.0, 26.0])
-    assert first.angle_deg == pytest.approx(0.0, abs=0.2)
-    assert second.angle_deg == pytest.approx(6.0, abs=0.7)
+    assert first.rotation_deg == pytest.approx(0.0, abs=0.2)
+    assert second.rotation_deg == pytest.approx(6.0, abs=0.7)
 
 
 def test_a_new_reference_starts_at_zero() -> None:
@@ -91,7 +91,7 @@ def test_a_new_reference_starts_at_zero() -> None:
     pipe.reset_reference()
     assert not pipe.has_reference
     assert pipe.reference_image is None
-    assert run(pipe, "bar", [10.0] * 6, start=20)[-1].angle_deg == pytest.approx(0.0, abs=0.4)
+    assert run(pipe, "bar", [10.0] * 6, start=20)[-1].rotation_deg == pytest.approx(0.0, abs=0.4)
 
 
 @pytest.mark.parametrize("estimator", ESTIMATORS)
@@ -101,7 +101,7 @@ def test_round_contacts_are_declined_but_their_shift_is_measured(estimator: Esti
     run(pipe, shape, [0.0] * 6)
     moved = pipe.process(frame(drawn(shape, 25, (69.25, 61.5)), 9))
     assert moved.contact
-    assert moved.angle_deg is None
+    assert moved.rotation_deg is None
     assert moved.sigma_deg is None
     assert moved.rate_deg_s is None
     assert moved.declined
@@ -118,7 +118,7 @@ def test_mounting_rotates_directions_but_not_rotations(
     pipe = pipeline(mounting_deg)
     run(pipe, "ellipse", [20.0] * 6)
     moved = pipe.process(frame(drawn("ellipse", 30, (69.25, 61.5)), 9))
-    assert moved.angle_deg == pytest.approx(10.0, abs=0.8)
+    assert moved.rotation_deg == pytest.approx(10.0, abs=0.8)
     assert moved.shift_mm == pytest.approx(shift_mm, abs=0.1)
     assert moved.orientation_deg == pytest.approx(orientation_deg, abs=1.0)
 
@@ -151,10 +151,10 @@ def test_an_unchanged_image_repeats_the_estimate_for_at_most_a_quarter_second() 
     assert {a.skipped for a in reused} == {"unchanged"}
     assert all(0.0 < a.captured_at_s - a.measured_at_s < 0.25 for a in reused)
     assert [a.sequence for a in estimates] == list(range(180))
-    assert all(a.contact and a.angle_deg is not None for a in estimates[6:])
+    assert all(a.contact and a.rotation_deg is not None for a in estimates[6:])
     rotated = pipe.process(frame(drawn("bar", 21.5), 180))
     assert rotated.skipped is None
-    assert rotated.angle_deg == pytest.approx(1.5, abs=0.4)
+    assert rotated.rotation_deg == pytest.approx(1.5, abs=0.4)
 
 
 @pytest.mark.parametrize("knock", [3.0, 70.0])
@@ -167,7 +167,7 @@ def test_after_a_glitch_of_one_frame_the_estimate_is_that_of_the_image(knock: fl
     after = [pipe.process(frame(drawn("bar", 20), k)) for k in range(91, 121)]
     assert after[0].skipped is None
     assert {last_estimate.skipped for last_estimate in after} == {None, "unchanged"}
-    assert [last_estimate.angle_deg for last_estimate in after] == pytest.approx([0.0] * 30, abs=0.5)
+    assert [last_estimate.rotation_deg for last_estimate in after] == pytest.approx([0.0] * 30, abs=0.5)
     assert [last_estimate.rate_deg_s for last_estimate in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
 
 
@@ -177,7 +177,7 @@ def test_a_slow_rotation_is_measured_within_half_a_degree_despite_skips() -> Non
     for k in range(6, 90):
         true = 0.05 * (k - 5)
         last_estimate = pipe.process(frame(drawn("bar", 20.0 + true), k))
-        assert last_estimate.angle_deg == pytest.approx(true, abs=0.5)
+        assert last_estimate.rotation_deg == pytest.approx(true, abs=0.5)
 
 
 def test_skipping_can_be_switched_off() -> None:
@@ -191,7 +191,7 @@ def test_a_flipped_axis_is_not_a_rotation() -> None:
     pipe = pipeline(estimator="moments")
     run(pipe, "rectangle", [0.0] * 6)
     flipped = pipe.process(frame(drawn("rectangle", 90), 7))
-    assert flipped.angle_deg is None
+    assert flipped.rotation_deg is None
     assert flipped.decline_reason == "implausible jump"
 
 
@@ -200,7 +200,7 @@ def test_contact_lost_and_found_keeps_its_reference() -> None:
     run(pipe, "bar", [0.0] * 6)
     for k in range(6, 10):
         assert not pipe.process(frame(None, k)).contact
-    assert run(pipe, "bar", [8.0] * 3, start=10)[-1].angle_deg == pytest.approx(8.0, abs=0.7)
+    assert run(pipe, "bar", [8.0] * 3, start=10)[-1].rotation_deg == pytest.approx(8.0, abs=0.7)
 
 
 def test_mask_and_skeleton_are_those_of_the_last_frame() -> None:
@@ -251,7 +251,7 @@ def test_a_noise_mask_gives_no_certain_rotation() -> None:
         blobs = cv2.GaussianBlur(rng.random((160, 120)).astype(np.float32), (0, 0), rng.uniform(2, 8))
         blobs = ((blobs - blobs.min()) / (blobs.max() - blobs.min()) > 0.55).astype(np.float32)
         last_estimate = pipe.process(frame(blobs, k))
-        if k and last_estimate.angle_deg is not None and cast("float", last_estimate.sigma_deg) < 2.0:
+        if k and last_estimate.rotation_deg is not None and cast("float", last_estimate.sigma_deg) < 2.0:
             certain.append(k)
     assert len(certain) <= 3
 
@@ -284,6 +284,6 @@ def test_a_corrupt_frame_changes_nothing() -> None:
     with pytest.raises(FrameCorrupt):
         pipe.process(Frame(np.zeros((320, 240, 3), np.uint8), 0.2, 7))
     after = pipe.process(frame(drawn("bar", 0.0, ragged_px=0.2, seed=5), 8))
-    assert dataclasses.replace(after, sequence=0, captured_at_s=0, measured_at_s=0, skipped=None).angle_deg == (
-        pytest.approx(before.angle_deg, abs=0.4)
+    assert dataclasses.replace(after, sequence=0, captured_at_s=0, measured_at_s=0, skipped=None).rotation_deg == (
+        pytest.approx(before.rotation_deg, abs=0.4)
     )

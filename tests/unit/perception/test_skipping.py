@@ -27,7 +27,7 @@ def estimate_of(sigma_deg: float | None, at_s: float = 1.0, skipped: str | None 
         contact=True,
         contact_area_px=5000,
         method="fused",
-        angle_deg=None if sigma_deg is None else 0.0,
+        rotation_deg=None if sigma_deg is None else 0.0,
         sigma_deg=sigma_deg,
         rate_deg_s=None if sigma_deg is None else 0.0,
         shift_mm=(0.0, 0.0),
@@ -48,11 +48,13 @@ def test_a_less_certain_or_declined_finger_is_skipped() -> None:
         estimate_of(0.5),
         estimate_of(0.3),
         estimate_of(None),
-        estimate_of(0.5, angle_deg=1.5),
-        estimate_of(0.3, angle_deg=1.0),
+        estimate_of(0.5, rotation_deg=1.5),
+        estimate_of(0.3, rotation_deg=1.0),
     ):
         assert second_finger_can_skip(own, CERTAIN, 1.02, REFRESH_S)
-    assert second_finger_can_skip(estimate_of(0.3, angle_deg=8.0), replace(CERTAIN, angle_deg=-8.0), 1.02, REFRESH_S)
+    assert second_finger_can_skip(
+        estimate_of(0.3, rotation_deg=8.0), replace(CERTAIN, rotation_deg=-8.0), 1.02, REFRESH_S
+    )
     assert second_finger_can_skip(estimate_of(0.5, captured_at_s=1.235), CERTAIN_LATER, 1.24, REFRESH_S)
 
 
@@ -67,8 +69,8 @@ def test_a_less_certain_or_declined_finger_is_skipped() -> None:
         (estimate_of(0.5), estimate_of(None, 1.02, "unchanged"), 1.02),
         (estimate_of(0.5), CERTAIN, 1.26),
         (estimate_of(0.5, captured_at_s=1.225), CERTAIN_LATER, 1.24),
-        (estimate_of(0.3, angle_deg=1.5), CERTAIN, 1.02),
-        (estimate_of(0.3, angle_deg=-1.5), CERTAIN, 1.02),
+        (estimate_of(0.3, rotation_deg=1.5), CERTAIN, 1.02),
+        (estimate_of(0.3, rotation_deg=-1.5), CERTAIN, 1.02),
         (estimate_of(0.5), CERTAIN, 0.9),
         (estimate_of(0.5, contact=False), CERTAIN, 1.02),
         (estimate_of(0.5, shift_mm=None), CERTAIN, 1.02),
@@ -111,11 +113,11 @@ def first_slip(rate_deg_s: float, skip_second: bool, phase_s: float) -> int:
         if rests and left is not None:
             left = replace(left, captured_at_s=at_s, skipped="unchanged")
         else:
-            left = estimate_of(0.1, at_s, angle_deg=moved + 0.1 * noise[0], rate_deg_s=rate)
+            left = estimate_of(0.1, at_s, rotation_deg=moved + 0.1 * noise[0], rate_deg_s=rate)
         if skip_second and second_finger_can_skip(right, left, at_s, REFRESH_S) and right is not None:
             right = repeat_estimate(right, at_s, k)
         else:
-            right = estimate_of(0.2, at_s, angle_deg=-moved + 0.2 * noise[1], rate_deg_s=-rate)
+            right = estimate_of(0.2, at_s, rotation_deg=-moved + 0.2 * noise[1], rate_deg_s=-rate)
         fused = fuse(left, right)
         assert fused is not None
         assert at_s - fused.measured_at_s < REFRESH_S + 1e-9

@@ -34,8 +34,8 @@ def before(shape: str, rotation_deg: float) -> StoredReference:
     steps = list(np.linspace(0.0, rotation_deg, 12))
     last = run(pipe, shape, [0.0] * 6 + steps)[-1]
     assert pipe.reference_image is not None
-    assert last.angle_deg is not None
-    return StoredReference(pipe.reference_image, last.angle_deg)
+    assert last.rotation_deg is not None
+    return StoredReference(pipe.reference_image, last.rotation_deg)
 
 
 @pytest.mark.parametrize("rotation_deg", [0.0, 14.0, -38.0, 70.0])
@@ -50,10 +50,10 @@ def test_the_rotation_continues_from_the_stored_reference(rotation_deg: float) -
         DeclineReason.CHECKING_STORED_REFERENCE
     ] * (MATCHES_AFTER - 1)
     assert pipe.stored_reference_state == "matches"
-    assert estimates[-1].angle_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
+    assert estimates[-1].rotation_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
     assert pipe.reference_image is known.image
     on = run(pipe, "key", list(np.linspace(rotation_deg + 3.0, rotation_deg + 15.0, 6)), start=606)[-1]
-    assert on.angle_deg == pytest.approx(rotation_deg + 15.0, abs=1.0)
+    assert on.rotation_deg == pytest.approx(rotation_deg + 15.0, abs=1.0)
 
 
 def test_another_object_gets_a_new_reference_and_continues_from_the_last_rotation() -> None:
@@ -61,11 +61,11 @@ def test_another_object_gets_a_new_reference_and_continues_from_the_last_rotatio
     pipe.resume(before("key", 14.0), 10.0)
     estimates = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
     assert {last_estimate.declined for last_estimate in estimates[:-1]} == {DeclineReason.CHECKING_STORED_REFERENCE}
-    assert estimates[-1].angle_deg is None
+    assert estimates[-1].rotation_deg is None
     assert pipe.stored_reference_state == "differs"
     run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
     rotated = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
-    assert rotated.angle_deg == pytest.approx(14.0 + 7.0, abs=1.0)
+    assert rotated.rotation_deg == pytest.approx(14.0 + 7.0, abs=1.0)
     assert pipe.earlier_rotation_deg == pytest.approx(14.0, abs=1.0)
     assert pipe.reference_image is not None
 
@@ -75,7 +75,7 @@ def test_the_rotation_before_the_stored_reference_is_added() -> None:
     pipe = pipeline()
     pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     estimates = run(pipe, "key", [16.0] * 6, start=600)
-    assert estimates[-1].angle_deg == pytest.approx(5.0 + 16.0, abs=1.0)
+    assert estimates[-1].rotation_deg == pytest.approx(5.0 + 16.0, abs=1.0)
     assert pipe.earlier_rotation_deg == 5.0
     pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
     run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)
@@ -88,7 +88,7 @@ def test_a_reset_reference_starts_at_zero() -> None:
     pipe.reset_reference()
     assert pipe.stored_reference_state is None
     last = run(pipe, "key", [30.0] * 8, start=600)[-1]
-    assert last.angle_deg == pytest.approx(0.0, abs=0.5)
+    assert last.rotation_deg == pytest.approx(0.0, abs=0.5)
 
 
 def test_without_contact_nothing_is_decided() -> None:
@@ -104,7 +104,7 @@ def test_a_stored_image_without_contact_does_not_match() -> None:
     pipe.resume(StoredReference(frame(None, 1).image, 14.0), 10.0)
     assert pipe.stored_reference_state == "differs"
     last = run(pipe, "key", [30.0] * 8, start=600)[-1]
-    assert last.angle_deg == pytest.approx(14.0, abs=0.5)
+    assert last.rotation_deg == pytest.approx(14.0, abs=0.5)
 
 
 def test_a_stored_image_that_is_no_gel_image_is_rejected() -> None:

@@ -27,7 +27,7 @@ def tick_at(now_s: float) -> m.CycleRecord:
 
 def judged_at(now_s: float) -> m.FrameRecord:
     return m.FrameRecord(
-        7, now_s, estimate=Estimate(7, now_s, now_s, True, 4000, "fused", angle_deg=math.pi, sigma_deg=0.1)
+        7, now_s, estimate=Estimate(7, now_s, now_s, True, 4000, "fused", rotation_deg=math.pi, sigma_deg=0.1)
     )
 
 

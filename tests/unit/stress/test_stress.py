@@ -69,8 +69,8 @@ class FaultyPipeline(Pipeline):
 
     def process(self, frame: Frame) -> Estimate:
         answer = super().process(frame)
-        angle, sigma = faulty(self.flaw, answer.angle_deg)
-        return replace(answer, angle_deg=angle, sigma_deg=sigma)
+        angle, sigma = faulty(self.flaw, answer.rotation_deg)
+        return replace(answer, rotation_deg=angle, sigma_deg=sigma)
 
 
 def faulty_pipeline(flaw: str) -> type[Pipeline]:

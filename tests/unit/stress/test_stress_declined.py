@@ -117,7 +117,7 @@ def test_a_pipeline_that_drifts_while_holding_is_detected(monkeypatch: pytest.Mo
         def process(self, frame: Frame) -> Estimate:
             answer = super().process(frame)
             off = 4e-3 * frame.sequence
-            return answer if answer.angle_deg is None else replace(answer, angle_deg=answer.angle_deg + off)
+            return answer if answer.rotation_deg is None else replace(answer, rotation_deg=answer.rotation_deg + off)
 
     two_cycles = 2 * 40 // drift_families.TRIAL_FRAMES * len(OBJECTS) + 2
     assert run_trials("holding", two_cycles).results[0].largest[HOLDING] < 0.05
