@@ -19,10 +19,14 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.errors import ConfigError
+from slipguard.errors import CommandRefused, ConfigError
 
 FRAME_WIDTH_PX = 240
 FRAME_HEIGHT_PX = 320
+ACTIVATION_HINT = (
+    "empty the jaws, protect the gels, then run `slipguard ctl activate`: the jaws open and close fully, at full speed"
+)
+"""What to do about a gripper that is not activated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +159,17 @@ class Gripper(Protocol):
 
     @abstractmethod
     async def release(self, width_mm: float) -> None:
-        """Open to `width_mm`, limited by the stroke. The only command that opens a held object's grip."""
+        """Open to `width_mm`, limited by the stroke. The only command that opens a held object's grip.
+
+        A gripper that needs an activation is activated first.
+        """
+
+    async def activate(self) -> None:
+        """Activate the gripper and wait until it is active; its fingers may move fully, at full speed.
+
+        Raises `CommandRefused` if it is active already, and for a gripper that needs no activation.
+        """
+        raise CommandRefused("this gripper needs no activation")
 
     @abstractmethod
     async def close(self) -> None:

@@ -151,6 +151,7 @@ async def measure(options: LatencyOptions, on_progress: Callable[[str, float], N
         cell = CellProcess(
             Path(folder),
             *("--host", HOST, "--object", options.object_name, "--baud", str(options.baud), "--fps", str(options.fps)),
+            "--activated",
         )
         try:
             on_progress("starting the emulated cell", 0.0)

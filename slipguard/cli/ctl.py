@@ -31,6 +31,13 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print the daemon's res
 ForceOption = Annotated[float | None, typer.Option(help="Newtons per finger. Default: from the configuration.")]
 HeightOption = Annotated[float | None, typer.Option(help="Millimeters. Default: from the configuration.")]
 SpeedOption = Annotated[float | None, typer.Option(help="Millimeters per second. Default: from the configuration.")]
+ACTIVATION_QUESTION = (
+    "The jaws open and close fully, at full speed and force, and press the gels against each other. Take the gels off "
+    "or cover them with something soft, empty the jaws and keep your hands out. Activate the gripper?"
+)
+RELEASE_QUESTION = (
+    "Open the jaws? A held object drops. A gripper that is not activated is activated: its jaws also close fully."
+)
 WidthOption = Annotated[float | None, typer.Option(help="Millimeters between the jaws.")]
 
 
@@ -173,10 +180,33 @@ def release(
 
     Example: `slipguard ctl release --yes`
     """
-    if not yes and not _confirm("Open the jaws? A held object drops."):
+    if not yes and not _confirm(RELEASE_QUESTION):
         typer.echo("the jaws were not opened; `slipguard ctl release --yes` does not ask", err=True)
         raise typer.Exit(1)
     _submit(context, socket, json, "release", confirm=True, width_mm=width_mm)
+
+
+@app.command()
+def activate(
+    context: typer.Context,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Also if a finger sees contact: the gels are covered or taken off.")
+    ] = False,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Activate the gripper, as each time after it was switched on. Refused while an object may be held.
+
+    The jaws open and close fully, at full speed and force, and press the gels against each other: take the gels off
+    their sensors first, or tie something soft over each. Empty the jaws and keep your hands out.
+
+    Example: `slipguard ctl activate`, for programs `slipguard ctl activate --yes`
+    """
+    if not yes and not _confirm(ACTIVATION_QUESTION):
+        typer.echo("the gripper was not activated; `slipguard ctl activate --yes` does not ask", err=True)
+        raise typer.Exit(1)
+    _submit(context, socket, json, "activate", confirm=True, force=force)
 
 
 @app.command()

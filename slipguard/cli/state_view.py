@@ -87,7 +87,7 @@ def _grip_text(state: Mapping[str, Any]) -> str:
     if gripper.get("fault"):
         return f"gripper fault: {gripper['fault']}"
     if not gripper["active"]:
-        return "gripper not activated"
+        return "gripper not activated: see `slipguard ctl activate --help`"
     width = f"jaws {gripper['width_mm']:.0f} mm apart"
     if gripper["moving"]:
         return f"moving, {width}"

@@ -44,6 +44,7 @@ class RequestKind(StrEnum):
     GRIPPER = "gripper"
     RELEASE = "release"
     CLEAR = "clear"
+    ACTIVATE = "activate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +138,13 @@ class ReleaseJaws:
 
 
 @dataclass(frozen=True, slots=True)
+class ActivateGripper:
+    """`Gripper.activate`: the empty jaws open and close fully."""
+
+    kind: Literal["activate"] = "activate"
+
+
+@dataclass(frozen=True, slots=True)
 class StopArm:
     """`Arm.stop`."""
 
@@ -152,7 +160,7 @@ class LiftArm:
     kind: Literal["lift"] = "lift"
 
 
-GripperCommand = Annotated[HoldForce | MoveJaws | HaltJaws | ReleaseJaws, Field(discriminator="kind")]
+GripperCommand = Annotated[HoldForce | MoveJaws | HaltJaws | ReleaseJaws | ActivateGripper, Field(discriminator="kind")]
 ArmCommand = Annotated[StopArm | LiftArm, Field(discriminator="kind")]
 
 

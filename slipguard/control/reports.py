@@ -58,6 +58,8 @@ class Text(Enum):
     RELEASING_WHEN_ARM_STANDS = "releasing, as requested: when the arm stands, after {wait_s:g} s at the latest"
     RELEASED = "released"
     RELEASED_ARM_UNKNOWN = "released; the arm has not reported that it stands"
+    # activation
+    ACTIVATING = "activating the gripper: the jaws open and close fully"
     # guarding
     GUARDING = "guarding"
     GUARDING_IN_FAULT = "guarding; the fault stays latched until it is cleared"
@@ -86,6 +88,11 @@ class Text(Enum):
     ARM_STOPPED = "cannot {verb}: the arm is in a protective or emergency stop; end that first"
     GRIPPER_MISSING = "the gripper is not connected; see its health in `slipguard ctl state`"
     GRIPPER_NOT_READY = "the gripper is not ready ({why})"
+    ALREADY_ACTIVE = "the gripper is already activated"
+    MAY_HOLD = (
+        "cannot activate: {why}, so an object may be held and would drop; support it, then use `slipguard ctl "
+        "release`, which also activates"
+    )
     ALREADY_HELD = "an object is already held; `guard on` guards it, `release` opens the jaws"
     LIMIT_BELOW_GRIPPER = "force_max_n = {limit_n:g} N is below the {weakest_n:g} N this gripper applies at least"
     ABOVE_FORCE_LIMIT = "{force_n:g} N is above force_max_n = {limit_n:g} N"

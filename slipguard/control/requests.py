@@ -11,12 +11,12 @@ from dataclasses import replace
 
 from slipguard.control import arm_motion, force_limits
 from slipguard.control.arm_motion import Result
-from slipguard.control.messages import HoldForce, MoveJaws, Observation, RequestKind, StepOutput
+from slipguard.control.messages import ActivateGripper, HoldForce, MoveJaws, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode, Message, Text
 from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, HandsOff, Phase, gripper_at_rest
-from slipguard.devices import ArmState, GripperState
+from slipguard.devices import ACTIVATION_HINT, ArmState, GripperState
 
 CLEAR_ENDS = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
 """Faults whose cause may persist at a clear: it takes a new reference, and without an estimate they latch again."""
@@ -44,7 +44,7 @@ def _gripper_unfit(gripper: GripperState | None) -> Message | None:
     if gripper is None:
         return Text.GRIPPER_MISSING.message()
     if gripper.fault is not None or not gripper.active:
-        return Text.GRIPPER_NOT_READY.message(why=gripper.fault or "not activated")
+        return Text.GRIPPER_NOT_READY.message(why=gripper.fault or f"not activated; {ACTIVATION_HINT}")
     return None
 
 
@@ -245,6 +245,22 @@ def _clear(state: GraspState, output: StepOutput, observation: Observation, para
     return state, replace(output, new_reference=True).with_messages(message)
 
 
+def _activate(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    """Grant the activation only if nothing may be held: it opens the jaws and closes them fully."""
+    gripper = observation.gripper
+    if gripper is None:
+        return _refuse(state, output, Text.GRIPPER_MISSING.message())
+    if gripper.active and gripper.fault is None:
+        return _refuse(state, output, Text.ALREADY_ACTIVE.message())
+    if state.phase is not Phase.IDLE:
+        return _refuse(state, output, Text.MAY_HOLD.message(why=f"the phase is {state.phase}"))
+    if gripper.holding or state.hands_off:
+        return _refuse(state, output, Text.MAY_HOLD.message(why="the gripper reports a grip"))
+    if state.person.now:
+        return _refuse(state, output, Text.ARM_STOPPED.message(verb="activate"))
+    return state, replace(output, gripper=ActivateGripper()).with_messages(Text.ACTIVATING.message())
+
+
 _HANDLERS: dict[RequestKind, Callable[[GraspState, StepOutput, Observation, GuardParams], Result]] = {
     RequestKind.GRASP: _grasp,
     RequestKind.LIFT: _lift,
@@ -253,4 +269,5 @@ _HANDLERS: dict[RequestKind, Callable[[GraspState, StepOutput, Observation, Guar
     RequestKind.GUARD_OFF: _guard_off,
     RequestKind.GRIPPER: _gripper,
     RequestKind.CLEAR: _clear,
+    RequestKind.ACTIVATE: _activate,
 }

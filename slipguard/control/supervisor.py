@@ -152,7 +152,7 @@ def _gripper(memory: Supervision, observation: Observation, params: GuardParams)
         return Fault(
             FaultCode.GRIPPER_FAULT,
             f"the gripper reports: {gripper.fault or 'not activated'}",
-            "support the object before the gripper is reset: activating opens it",
+            "support the object, then release: that activates the gripper, and its jaws open and close fully",
         )
     return None
 

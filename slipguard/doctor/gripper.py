@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Iterator, Sequence
 
 import numpy as np
 
-from slipguard.devices import Gripper, GripperState
+from slipguard.devices import ACTIVATION_HINT, Gripper, GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
 
@@ -86,8 +86,7 @@ def check_state(state: GripperState) -> Iterator[CheckResult]:
     if state.fault is not None:
         yield problem("condition", f"fault: {state.fault}", "hold the object by hand, then run `slipguard ctl release`")
     elif not state.active:
-        action = "empty the jaws, then run `slipguard ctl release`: the fingers open and close fully"
-        yield note("condition", "not activated", action)
+        yield note("condition", "not activated", ACTIVATION_HINT)
     else:
         activity = "moving" if state.moving else "holding something" if state.holding else "at rest"
         if state.closed_on_nothing:

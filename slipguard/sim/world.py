@@ -32,12 +32,13 @@ _SIGNS = {"left": 1, "right": -1}
 
 @dataclass(frozen=True, slots=True)
 class WorldSettings:
-    """An empty world. gripper: until a scenario brings its own."""
+    """An empty world. gripper: until a scenario brings its own. gripper_activated: False as it leaves the factory."""
 
     step_s: float = 1e-3
     start_width_mm: float = 85.0
     arm: ArmModel = field(default_factory=ArmModel)
     gripper: GripperDynamics = field(default_factory=GripperDynamics)
+    gripper_activated: bool = True
 
 
 class World:
@@ -48,6 +49,7 @@ class World:
 
     Attributes:
         faults: injected faults; a fault of gripper or arm takes effect from the world's last time on.
+        gripper_activated: what the gripper reports; its driver refuses to move a gripper that is not.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class World:
         self.settings = settings or WorldSettings()
         self.seed = seed
         self.faults = InjectedFaults()
+        self.gripper_activated = self.settings.gripper_activated
         self._lookup = lookup or find_object
         self._deliveries = {finger: initial_delivery(seed, finger) for finger in _SIGNS}
         width_mm = self.settings.start_width_mm
@@ -152,7 +155,9 @@ class World:
     def gripper_state(self, now_s: float) -> GripperState:
         """Return the state that the gripper reports."""
         now_s = self._advance(now_s)
-        return gripper_plant.report(self._cell.gripper, now_s, "internal fault" if self._gripper_faulty() else None)
+        fault = "internal fault" if self._gripper_faulty() else None
+        state = gripper_plant.report(self._cell.gripper, now_s, fault)
+        return state if self.gripper_activated else replace(state, active=False, holding=False, closed_on_nothing=False)
 
     def _gripper_faulty(self) -> bool:
         return "fault" in self.faults.active("gripper")

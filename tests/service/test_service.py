@@ -48,7 +48,8 @@ def cell(
 ) -> Iterator[Callable[[], list[dict[str, Any]]]]:
     """The emulated cell, from its first use on; gives the truth so far."""
     said = tmp_path_factory.mktemp("emulator") / "said.txt"
-    words = (PROGRAM, "emulate", "cell", "--json", "--folder", str(CELL.folder), "--fps", "30", "--object", "wrench")
+    options = ("--folder", str(CELL.folder), "--fps", "30", "--object", "wrench", "--activated")
+    words = (PROGRAM, "emulate", "cell", "--json", *options)
 
     def truth() -> list[dict[str, Any]]:
         lines = (container.tree / "srv" / "cell" / "truth.jsonl").read_text().splitlines()

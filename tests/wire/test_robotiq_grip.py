@@ -28,14 +28,40 @@ async def test_the_bytes_on_the_line_are_the_manuals(emulator: RobotiqEmulator) 
     line.close()
 
 
-async def test_only_a_release_activates(tmp_path: Path) -> None:
+async def test_it_is_activated_on_request_only(tmp_path: Path) -> None:
+    emulator = quick(tmp_path)
+    await emulator.start()
+    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
+    await gripper.open()
+    assert not (await gripper.state()).active
+    assert words_written(emulator) == []
+    await gripper.activate()
+    state = await gripper.state()
+    assert (state.active, round(state.width_mm)) == (True, 85)
+    assert emulator.registers.activations == 1
+    with pytest.raises(CommandRefused, match="already activated"):
+        await gripper.activate()
+    await gripper.close()
+    await emulator.stop()
+
+
+async def test_an_activation_is_refused_while_an_object_is_held(
+    emulator: RobotiqEmulator, held: RobotiqGripper
+) -> None:
+    emulator.control("gflt 0x0E")
+    with pytest.raises(CommandRefused, match="an object is held"):
+        await held.activate()
+    assert words_written(emulator) == []
+
+
+async def test_a_release_activates(tmp_path: Path) -> None:
     emulator = quick(tmp_path)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
     assert not (await gripper.state()).active
     for command in (gripper.hold(40.0), gripper.move(50.0, 40.0)):
-        with pytest.raises(CommandRefused, match="not activated"):
+        with pytest.raises(CommandRefused, match="run `slipguard ctl activate`"):
             await command
     assert words_written(emulator) == []
     await gripper.release(85.0)
@@ -56,7 +82,7 @@ async def test_closing_the_connection_does_not_wait_for_an_activation(tmp_path: 
     release = asyncio.ensure_future(gripper.release(85.0))
     await asyncio.sleep(0.2)
     await asyncio.wait_for(gripper.close(), 0.3)
-    with pytest.raises(DeviceLost, match="release again"):
+    with pytest.raises(DeviceLost, match="repeat the command"):
         await release
     await emulator.stop()
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from slipguard.devices import DriverContext, Gripper, GripperState
+from slipguard.devices import ACTIVATION_HINT, DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, width_to_count
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 LATE_S = 0.2
+ACTIVATION_POLL_S = 0.05
 
 
 class FakeGripperSettings(BaseModel):
@@ -67,7 +68,7 @@ class FakeGripper(Gripper):
         force_to_count(force_n, MODEL_2F85)  # refuses invalid forces
 
         def command(now_s: float) -> float:
-            self._check_fault()
+            self._check_ready()
             self._goal_mm = 0.0
             return self._world.command_hold(now_s, force_n)
 
@@ -79,7 +80,7 @@ class FakeGripper(Gripper):
         force_to_count(force_n, MODEL_2F85)
 
         def command(now_s: float) -> float:
-            self._check_fault()
+            self._check_ready()
             state = self._world.gripper_state(now_s)
             if state.holding:
                 raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
@@ -97,15 +98,21 @@ class FakeGripper(Gripper):
         await self._round_trip(self._world.command_halt)
 
     async def release(self, width_mm: float) -> None:
-        """Open to `width_mm`."""
+        """Open to `width_mm`; activate the gripper first if necessary."""
         width_to_count(width_mm, MODEL_2F85)
+        if not self._world.gripper_activated:
+            await self.activate()
+        await self._round_trip(lambda now_s: self._open_to(now_s, width_mm))
 
-        def command(now_s: float) -> None:
-            self._check_fault()
-            self._goal_mm = width_mm
-            self._world.command_release(now_s, width_mm)
-
-        await self._round_trip(command)
+    async def activate(self) -> None:
+        """Open, close and open fully, as a Robotiq does at its activation."""
+        if self._world.gripper_activated:
+            raise CommandRefused(f"{self._name}: the gripper is already activated")
+        stroke_mm, force_n = MODEL_2F85.stroke_mm, MODEL_2F85.force_min_n
+        await self._move_fully(lambda now_s: self._open_to(now_s, stroke_mm))
+        await self._move_fully(lambda now_s: self._world.command_move(now_s, 0.0, force_n))
+        await self._move_fully(lambda now_s: self._open_to(now_s, stroke_mm))
+        self._world.gripper_activated = True
 
     async def close(self) -> None:
         """Disconnect; the grip stays."""
@@ -113,6 +120,23 @@ class FakeGripper(Gripper):
 
     def _faults(self) -> frozenset[str]:
         return self._world.faults.active(self._name)
+
+    def _open_to(self, now_s: float, width_mm: float) -> None:
+        self._check_fault()
+        self._goal_mm = width_mm
+        self._world.command_release(now_s, width_mm)
+
+    async def _move_fully(self, command: Callable[[float], object]) -> None:
+        await self._round_trip(command)
+        moving = True
+        while moving:
+            await asyncio.sleep(ACTIVATION_POLL_S)
+            moving = (await self.state()).moving
+
+    def _check_ready(self) -> None:
+        self._check_fault()
+        if not self._world.gripper_activated:
+            raise CommandRefused(f"{self._name}: the gripper is not activated; {ACTIVATION_HINT}")
 
     def _check_fault(self) -> None:
         if "fault" in self._faults():

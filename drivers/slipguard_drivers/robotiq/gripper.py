@@ -2,7 +2,8 @@
 
 Two properties of the hardware determine the design:
 
-* Activation (rACT from 0 to 1) opens and closes the fingers fully, so an object would fall. Only `release` activates.
+* Activation (rACT from 0 to 1) opens and closes the fingers fully, at full speed: an object would fall, and gels would
+  meet. Only `activate` and `release` activate.
 * The force register acts only while the fingers move, so tightening is a stop followed by a go. The stop must have been
   reported before the go is sent: within one cycle of the gripper the two would cancel out. The screw keeps the grip
   meanwhile. The force can rise, but not fall, until the fingers open.
@@ -18,7 +19,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
-from slipguard.devices import DriverContext, Gripper, GripperState
+from slipguard.devices import ACTIVATION_HINT, DriverContext, Gripper, GripperState
 from slipguard.diagnosis import CheckResult
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
@@ -83,7 +84,7 @@ class RobotiqGripper(Gripper):
         return self._model.force_min_n, self._model.force_max_n
 
     async def open(self) -> None:
-        """Connect and read the status. A gripper that is not activated stays so: `release` activates it."""
+        """Connect and read the status. A gripper that is not activated stays so until `activate`."""
         self._closing_down = False
         if not self._modbus.connected:
             self._applied = self._gripped_at = None  # another program may have changed the grip meanwhile
@@ -131,6 +132,10 @@ class RobotiqGripper(Gripper):
     async def release(self, width_mm: float) -> None:
         """Open; activate the gripper first if necessary, which moves the fingers fully."""
         await self._complete(self._release(registers.width_to_count(width_mm, self._model), self._deadline_s()))
+
+    async def activate(self) -> None:
+        """Activate an empty gripper and wait until it is active; the fingers open and close fully."""
+        await self._complete(self._activate_empty(self._deadline_s()))
 
     async def close(self) -> None:
         """Disconnect; the grip stays. An activation continues by itself."""
@@ -229,8 +234,17 @@ class RobotiqGripper(Gripper):
             await self._write(deadline_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
             await self._expect(deadline_s, position, going=True)
 
+    async def _activate_empty(self, deadline_s: float) -> None:
+        async with self._exclusive(deadline_s):
+            status = await self._status(deadline_s)
+            if status.ready and status.fault is None:
+                raise CommandRefused(f"{self._name}: the gripper is already activated")
+            if self._holds(status):
+                raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
+            await self._activate(deadline_s)
+
     async def _activate(self, deadline_s: float) -> RobotiqStatus:
-        """Reset and activate: the fingers open and close fully. Only an explicit release may do that."""
+        """Reset and activate: the fingers open and close fully. Only `activate` and `release` may do that."""
         await self._modbus.write(registers.OUTPUT_ADDRESS, [0, 0, 0], deadline_s)
         await self._expect(deadline_s, 0, going=False, activated=False)
         await self._write(deadline_s, go=False, position=0, speed=0, force=0)
@@ -244,9 +258,9 @@ class RobotiqGripper(Gripper):
             with contextlib.suppress(DeviceTimeout):  # the activation continues without communication
                 status = await self._status(self._deadline_s())
         if self._closing_down:
-            raise DeviceLost(f"{self._name}: disconnected during the activation of the gripper; release again")
+            raise DeviceLost(f"{self._name}: disconnected during the activation of the gripper; repeat the command")
         if not status.activated:
-            raise DeviceTimeout(f"{self._name}: the gripper was reset during its activation; release again")
+            raise DeviceTimeout(f"{self._name}: the gripper was reset during its activation; repeat the command")
         raise DeviceTimeout(
             f"{self._name}: not activated after {ACTIVATION_TIMEOUT_S:.0f} s ({status.fault or 'no fault reported'}); "
             "remove what blocks the fingers"
@@ -268,10 +282,7 @@ class RobotiqGripper(Gripper):
         if status.fault is not None:
             raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; release clears it")
         if not status.ready:
-            raise CommandRefused(
-                f"{self._name}: the gripper is not activated; release activates it: the fingers open and close fully, "
-                "so clear the space between them"
-            )
+            raise CommandRefused(f"{self._name}: the gripper is not activated; {ACTIVATION_HINT}")
         return status
 
     async def _write(self, deadline_s: float, *, go: bool, position: int, speed: int, force: int) -> None:

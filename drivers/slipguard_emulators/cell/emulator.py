@@ -79,6 +79,9 @@ class CellEmulator(ControlledEmulator):
         ] = "lift"
         host: Annotated[str, Field(description="Address of this machine for the robot.")] = "127.0.0.1"
         series: Annotated[Literal["e", "cb3"], Field(description="Robot: cb3 125 Hz, e 500 Hz.")] = "cb3"
+        activated: Annotated[
+            bool, Field(description="The gripper is activated; default: as after power-on (`slipguard ctl activate`).")
+        ] = False
         fps: Annotated[
             Literal["60", "30"], Field(description="Rate of the cameras; rendering at 60 takes half a core.")
         ] = "60"
@@ -97,7 +100,9 @@ class CellEmulator(ControlledEmulator):
         self.world = CellWorld(settings.seed, float(settings.fps))
         self.tool = WorldTool(self.world)
         self.gripper = RobotiqEmulator(
-            RobotiqEmulator.Settings(link=self.places.gripper, activated=True, baud=settings.baud, seed=settings.seed),
+            RobotiqEmulator.Settings(
+                link=self.places.gripper, activated=settings.activated, baud=settings.baud, seed=settings.seed
+            ),
             self._part("gripper"),
             WorldJaws(self.world),
         )

@@ -64,7 +64,7 @@ class RobotiqEmulator(ControlledEmulator):
             float | None,
             Field(gt=0.0, lt=140.0, description="Width of the object between the jaws; default: no object."),
         ] = None
-        activated: Annotated[bool, Field(description="Already activated.")] = False
+        activated: Annotated[bool, Field(description="Already activated; default: as after power-on.")] = False
         baud: Annotated[int, Field(ge=0, description="Bits per second of the wire; 0: no delay.")] = 115200
         response_ms: Annotated[float, Field(ge=0.0, le=1000.0, description="Time from a request to its answer.")] = 1.0
         latency_timer_ms: Annotated[

@@ -43,19 +43,24 @@ class BackgroundCapture:
         self.check_not_running()
         async with self._lock:
             self._check_idle()
-            for name, finger in self._service.fingers.items():
-                newest = finger.newest
-                in_contact = newest is not None and newest.estimate.contact
-                if in_contact and not request.force and await self._contact_is_reliable(finger):
-                    raise CommandRefused(
-                        f"cannot calibrate: {name} finger is in contact; remove the object, or use --force "
-                        "if the light has changed"
-                    )
+            if not request.force and (name := await self.finger_in_contact()) is not None:
+                raise CommandRefused(
+                    f"cannot calibrate: {name} finger is in contact; remove the object, or use --force "
+                    "if the light has changed"
+                )
             taken = await self._take()
             self._check_idle()
             await self._store(taken, request.new_gel)
             await self._wait_for_estimates()
             return taken
+
+    async def finger_in_contact(self) -> str | None:
+        """Return the name of a finger that reliably sees contact; None if neither does."""
+        for name, finger in self._service.fingers.items():
+            newest = finger.newest
+            if newest is not None and newest.estimate.contact and await self._contact_is_reliable(finger):
+                return name
+        return None
 
     async def restore(self, request: RestoreBackgroundRequest) -> str:
         """Use an older background image again; return a message."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -12,6 +13,7 @@ from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.background_capture import BackgroundCapture
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.api.requests import (
+    ActivateRequest,
     CalibrateRequest,
     DaemonRequest,
     GraspRequest,
@@ -31,6 +33,10 @@ from slipguard.errors import CommandRefused
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.recording.recorder import Recorder
 from slipguard.thread_priority import set_worker_priority
+
+ACTIVATED_WITHIN_S = 15.0
+"""A 2F-85 takes about 3 s."""
+ACTIVATION_POLL_S = 0.05
 
 
 class RequestHandlers(DaemonApi):
@@ -109,6 +115,8 @@ class RequestHandlers(DaemonApi):
         match request:
             case CalibrateRequest():
                 return calibration_response(await self.calibrate(request))
+            case ActivateRequest():
+                return {"message": await self._activate(request)}
             case RestoreBackgroundRequest():
                 return {"message": await self._capture.restore(request)}
             case GraspRequest():
@@ -120,6 +128,30 @@ class RequestHandlers(DaemonApi):
             case MoveJawsRequest():
                 self._capture.check_not_running()
         return {"message": await self._service.request(controller_request(request))}
+
+    async def _activate(self, request: ActivateRequest) -> str:
+        """Activate the gripper and wait until it is active; return a message."""
+        self._capture.check_not_running()
+        if not request.force and (name := await self._capture.finger_in_contact()) is not None:
+            raise CommandRefused(
+                f"cannot activate: {name} finger is in contact, and a held object would drop; remove it, or use "
+                "--force if the gels are covered or taken off"
+            )
+        await self._service.request(controller_request(request))
+        return await self._wait_until_active()
+
+    async def _wait_until_active(self) -> str:
+        """Return a message when the gripper is active. Raises CommandRefused if that fails."""
+        loop, gripper = asyncio.get_running_loop(), self._service.gripper
+        requested_s = loop.time()
+        while loop.time() - requested_s < ACTIVATED_WITHIN_S:
+            await asyncio.sleep(ACTIVATION_POLL_S)
+            newest = gripper.newest
+            if newest is not None and newest.active and newest.measured_at_s > requested_s:
+                return f"the gripper is activated; the jaws are {newest.width_mm:.0f} mm apart"
+            if not gripper.health.ready:
+                raise CommandRefused(f"the activation failed: {gripper.health.message}")
+        raise CommandRefused(f"not activated within {ACTIVATED_WITHIN_S:g} s; see `slipguard ctl state` and the log")
 
     async def calibrate(self, request: CalibrateRequest) -> dict[str, BackgroundImage]:
         """Take and store the background images of both fingers; return them by finger."""
@@ -147,7 +179,7 @@ def controller_request(request: DaemonRequest) -> ControlRequest:
     kind = request.kind
     if isinstance(request, GuardRequest):
         kind = "guard on" if request.on else "guard off"
-    return ControlRequest(RequestKind(kind), **request.model_dump(exclude={"on", "confirm"}))
+    return ControlRequest(RequestKind(kind), **request.model_dump(exclude={"on", "confirm", "force"}))
 
 
 def calibration_response(taken: Mapping[str, BackgroundImage]) -> dict[str, object]:

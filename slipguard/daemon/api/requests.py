@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 CALIBRATION_TIMEOUT_S = 30.0
+ACTIVATION_TIMEOUT_S = 20.0
 
 Force = Annotated[float, Field(gt=0.0, le=235.0, description="Newtons per finger.")]
 Height = Annotated[float, Field(gt=0.0, le=2000.0, description="Millimeters.")]
@@ -67,19 +68,34 @@ class MoveJawsRequest(DaemonRequest):
     force_n: Force | None = None
 
 
+def _check_confirmed(confirm: bool) -> bool:
+    if not confirm:
+        raise ValueError("must be true: the jaws open, and a held object drops")
+    return confirm
+
+
+Confirmation = Annotated[bool, Field(json_schema_extra={"const": True}), AfterValidator(_check_confirmed)]
+
+
 class ReleaseRequest(DaemonRequest):
     """Open the jaws, in every state. A held object drops, so `confirm` must be true."""
 
     kind = "release"
-    confirm: Annotated[bool, Field(json_schema_extra={"const": True})]
+    confirm: Confirmation
     width_mm: Width | None = None
 
-    @field_validator("confirm")
-    @classmethod
-    def _check_confirmed(cls, confirm: bool) -> bool:
-        if not confirm:
-            raise ValueError("must be true: a held object drops when the jaws open")
-        return confirm
+
+class ActivateRequest(DaemonRequest):
+    """Activate the gripper; the response comes when it is active. Refused while an object may be held.
+
+    The jaws open and close fully, at full speed and force, so `confirm` must be true: they are empty and the gels
+    protected. force: also if a finger sees contact (the gels are covered or taken off).
+    """
+
+    kind = "activate"
+    response_timeout_s = ACTIVATION_TIMEOUT_S
+    confirm: Confirmation
+    force: bool = False
 
 
 class ClearRequest(DaemonRequest):
@@ -124,6 +140,7 @@ REQUESTS: dict[str, type[DaemonRequest]] = {
         GuardRequest,
         MoveJawsRequest,
         ReleaseRequest,
+        ActivateRequest,
         ClearRequest,
         RestoreBackgroundRequest,
         CalibrateRequest,

@@ -16,6 +16,7 @@ from slipguard.config import Config
 from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.messages import (
+    ActivateGripper,
     ControlRequest,
     FingerHealth,
     HaltJaws,
@@ -250,6 +251,8 @@ class Service:
                 self.gripper.command(lambda: hold(force_n))
             case MoveJaws(width_mm=width_mm, force_n=force_n):
                 self.gripper.command(lambda: gripper.move(width_mm, force_n))
+            case ActivateGripper():
+                self.gripper.command(gripper.activate)
         match output.arm:
             case StopArm():
                 self.arm.command(arm.stop)

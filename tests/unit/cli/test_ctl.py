@@ -17,6 +17,7 @@ from slipguard.daemon.api import paths
 from slipguard.daemon.api.client import DaemonNotRunning
 from slipguard.daemon.api.paths import running_socket
 from slipguard.daemon.api.requests import (
+    ActivateRequest,
     CalibrateRequest,
     ClearRequest,
     DaemonRequest,
@@ -53,6 +54,8 @@ COMMANDS: list[tuple[list[str], DaemonRequest]] = [
     (["guard", "off"], GuardRequest(on=False)),
     (["gripper", "--width-mm", "60"], MoveJawsRequest(width_mm=60)),
     (["release", "--yes"], ReleaseRequest(confirm=True)),
+    (["activate", "--yes"], ActivateRequest(confirm=True)),
+    (["activate", "--yes", "--force"], ActivateRequest(confirm=True, force=True)),
     (["clear"], ClearRequest()),
     (["calibrate", "--force"], CalibrateRequest(force=True)),
     (["calibrate", "--new-gel"], CalibrateRequest(new_gel=True)),
@@ -91,6 +94,17 @@ async def test_a_release_needs_confirmation(daemon: FakeDaemonApi, tmp_path: Pat
     assert daemon.requests == [ReleaseRequest(confirm=True)]
 
 
+async def test_an_activation_says_what_it_does_and_needs_confirmation(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    for typed in ("n\n", ""):
+        code, output = await ctl(daemon, tmp_path, "activate", typed=typed)
+        assert (code, daemon.requests) == (1, [])
+        assert "full speed and force" in output
+        assert "Take the gels off" in output
+        assert "the gripper was not activated" in output
+    code, _ = await ctl(daemon, tmp_path, "activate", typed="y\n")
+    assert (code, daemon.requests) == (0, [ActivateRequest(confirm=True)])
+
+
 async def test_a_refusal_is_raised(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match="cannot lift while idle"):
@@ -109,7 +123,7 @@ def test_misuse_is_exit_code_2(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "clear", "calibrate"]
+    "command", ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "activate", "clear", "calibrate"]
 )
 def test_help_has_an_example(command: str) -> None:
     output = CliRunner().invoke(app, [command, "--help"]).output

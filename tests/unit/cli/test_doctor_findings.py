@@ -135,7 +135,7 @@ def state(**changes: Any) -> GripperState:
 
 def test_a_gripper_that_is_not_activated_or_at_fault() -> None:
     (idle,) = gripper.check_state(state(active=False))
-    assert (idle.status, "open and close fully" in idle.action) == (CheckStatus.NOTE, True)
+    assert (idle.status, "slipguard ctl activate" in idle.action) == (CheckStatus.NOTE, True)
     (faulty,) = gripper.check_state(state(fault="overcurrent"))
     assert (faulty.status, faulty.observed) == (CheckStatus.PROBLEM, "fault: overcurrent")
 

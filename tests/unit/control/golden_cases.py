@@ -99,6 +99,7 @@ REQUESTS: dict[str, ControlRequest] = {
     "release": ask(RequestKind.RELEASE),
     "release 70": ask(RequestKind.RELEASE, width_mm=70.0),
     "clear": ask(RequestKind.CLEAR),
+    "activate": ask(RequestKind.ACTIVATE),
 }
 WITH_A_REQUEST = (
     "nothing", "no gripper", "gripper fault", "not active", "empty", "closing", "held", "no arm", "arm rests",

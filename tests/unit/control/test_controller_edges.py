@@ -49,7 +49,7 @@ def test_a_greater_force_from_before_the_restart_is_reported() -> None:
     ("jaws", "says"),
     [
         (gripper(40.0), "an object is already held"),
-        (gripper(0.0, holding=False, active=False), "the gripper is not ready (not activated)"),
+        (gripper(0.0, holding=False, active=False), "the gripper is not ready (not activated; "),
         (gripper(0.0, holding=False, fault="9"), "the gripper is not ready (9)"),
         (None, "the gripper is not connected"),
     ],

@@ -40,6 +40,7 @@ EVENTS: dict[str, dict[str, object]] = {
     "jaws tighter": {"request": ask(RequestKind.GRIPPER, force_n=60.0)},
     "release": {"request": ask(RequestKind.RELEASE)},
     "clear": {"request": ask(RequestKind.CLEAR)},
+    "activate": {"request": ask(RequestKind.ACTIVATE)},
     "rotation": {"fused": SLIP},
     "slip down": {"fused": SLIDE},
     "rotates back": {"fused": BACK},
@@ -61,6 +62,7 @@ jaws open      | move          | refused       | refused       | refused
 jaws tighter   | refused       | refused       | hold          | hold
 release        | released open | released open | released open | released stop
 clear          | refused       | refused       | refused       | refused
+activate       | refused       | refused       | refused       | refused
 rotation       | -             | -             | holding       | hold stop
 slip down      | -             | -             | holding       | hold stop
 rotates back   | -             | -             | holding       | -
@@ -81,6 +83,7 @@ jaws open      | refused       | refused       | refused  | refused
 jaws tighter   | hold          | hold          | refused  | refused
 release        | released open | released stop | open     | released open
 clear          | refused       | refused       | refused  | reference reference
+activate       | refused       | refused       | refused  | refused
 rotation       | hold stop     | hold stop     | -        | hold
 slip down      | hold stop     | hold stop     | -        | hold
 rotates back   | -             | -             | -        | -

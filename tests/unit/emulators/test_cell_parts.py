@@ -17,6 +17,7 @@ from slipguard_emulators.cell.emulator import CellEmulator, CellWorld
 from slipguard_emulators.cell.lift_program import LiftProgram, LiftStage
 from slipguard_emulators.cell.truth_log import line_of
 from slipguard_emulators.cell.world_jaws import WorldJaws
+from slipguard_emulators.robotiq.registers import ActivationStage
 from slipguard_emulators.ur5.tool import WorldTool
 
 QUICK = GripperDynamics(transaction_s=0.0, dead_time_s=0.02, ramp_n_s=200.0, speed_mm_s=150.0)
@@ -127,6 +128,16 @@ def test_a_line_of_truth_is_json_with_plain_names(world: World) -> None:
 
 def test_the_cameras_run_at_the_rate_asked_for() -> None:
     assert CellWorld(3, 30.0).camera("left").fps == 30.0
+
+
+@pytest.mark.parametrize("activated", [False, True])
+async def test_the_gripper_starts_as_after_power_on_unless_chosen_otherwise(activated: bool, tmp_path: Path) -> None:
+    options = {"activated": True} if activated else {}
+    cell = CellEmulator(CellEmulator.Settings.model_validate({"folder": tmp_path / "cell", **options}))
+    cell.places.make()
+    await cell.gripper.start()
+    assert (cell.gripper.registers.stage is ActivationStage.READY) is activated
+    await cell.gripper.stop()
 
 
 async def test_faults_start_with_the_name_of_their_part(tmp_path: Path) -> None:

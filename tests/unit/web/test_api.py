@@ -20,6 +20,7 @@ from pydantic import ValidationError
 
 from slipguard.daemon.api.client import Client, DaemonNotRunning
 from slipguard.daemon.api.requests import (
+    ActivateRequest,
     CalibrateRequest,
     ClearRequest,
     DaemonRequest,
@@ -70,6 +71,7 @@ REQUESTS: list[DaemonRequest] = [
     MoveJawsRequest(width_mm=60, force_n=30),
     ReleaseRequest(confirm=True),
     ReleaseRequest(confirm=True, width_mm=50),
+    ActivateRequest(confirm=True),
     ClearRequest(),
     RestoreBackgroundRequest(finger="left", number=3),
     CalibrateRequest(),
