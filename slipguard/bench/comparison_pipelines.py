@@ -119,7 +119,7 @@ class FrameNetwork:
         try:
             self._session: Any = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:
-            raise ModelError(f"{path}: not a readable ONNX model. Export one with slipguard train --arch") from error
+            raise ModelError(f"{path}: not a readable ONNX model. Export it again") from error
         ports = self._session.get_inputs()
         shape = ports[0].shape
         self._bytes = ports[0].type == "tensor(uint8)"

@@ -1,15 +1,11 @@
-"""Tables of a bench for the terminal, and a Markdown table for the model card."""
+"""Tables of a bench for the terminal."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 from rich.table import Table
 
 from slipguard.bench.results import PUBLISHED, BenchReport, BenchRow
-from slipguard.errors import InputError
 
-BEGIN, END = "<!-- bench table: begin -->", "<!-- bench table: end -->"
 COLUMNS = (
     "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s per minute", "rotation error", "p95",
     "worst", "with an axis", "estimates", "declined", "round textured", "round plain declined", "within 1, 2 sigma",
@@ -72,39 +68,6 @@ def _compared(found: BenchReport) -> list[str]:
                 f"{_text(peer.p50_ms)} ms on {threads}, its fastest number ({weights}), relative to the row's"
             )
     return lines
-
-
-def markdown(found: BenchReport, command: str) -> str:
-    """Return all rows as a Markdown table, with the command that produced it."""
-    made = found.machine
-    lines = [
-        f"Made by `{command}` on {made['processor']}, onnxruntime {made['onnxruntime']}, OpenCV {made['opencv']};",
-        "times in ms on one core unless stated, errors in degrees; ◆: on the Pareto front of mean time and error.",
-        "",
-        "| " + " | ".join(COLUMNS) + " |",
-        "|" + "---|" * len(COLUMNS),
-    ]
-    lines += ["| " + " | ".join(cells_of(row, found)) + " |" for row in (*found.pipelines, *found.peers)]
-    return "\n".join([*lines, "", *(f"* {note}" for note in notes(found))])
-
-
-def split_at_markers(path: Path) -> tuple[str, str]:
-    """Return the text before and after the markers of a Markdown file. Raises `InputError` if they are missing."""
-    try:
-        page = path.read_text(encoding="utf-8")
-        before, rest = page.split(BEGIN)
-        _, after = rest.split(END)
-    except OSError as error:
-        raise InputError(f"--table {path}: cannot read the file: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"--table {path}: needs the lines {BEGIN} and {END}, once each") from error
-    return before, after
-
-
-def write_into(path: Path, text: str) -> None:
-    """Write the text between the markers of a Markdown file. Raises `InputError` if they are missing."""
-    before, after = split_at_markers(path)
-    path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}", encoding="utf-8")
 
 
 def cells_of(row: BenchRow, found: BenchReport) -> list[str]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json as jsonlib
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipguard.cli.terminal import make_folder, progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,9 +27,6 @@ def bench(
     models: Annotated[
         Path | None, typer.Option(help="Folder of networks to compare, for example those of the paper.")
     ] = None,
-    table: Annotated[
-        Path | None, typer.Option(help="Markdown file in which the table between the markers is updated.")
-    ] = None,
     jobs: Annotated[int, typer.Option(help="Processes for the parts that are not timed; 0: one per core.")] = 0,
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler for the parts that are not timed: tcp://HOST:8786.")
@@ -45,34 +41,24 @@ def bench(
     Example: `slipguard bench --quick --out bench/`, `slipguard bench --full --models models`,
     `slipguard bench --grip --out grip/`
     """
-    if grip and (model is not None or models is not None or table is not None):
-        raise InputError("--grip uses the shipped network; omit --model, --models and --table")
+    if grip and (model is not None or models is not None):
+        raise InputError("--grip uses the shipped network; omit --model and --models")
     from rich.console import Console
 
     from slipguard.bench import run, tables
     from slipguard.bench.plot import draw_bench
-    from slipguard.cli.terminal import progress_bar
     from slipguard.tools.parallel import Workers
 
-    if out is not None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"--out {out}: cannot create the folder: {error.strerror}") from error
+    make_folder(out)
     if grip:
         bench_grip(quick=quick, seed=seed, json=json, out=out, workers=Workers(jobs, cluster))
         return
     options = run.BenchOptions(quick, model, models, Workers(jobs, cluster))
-    if table is not None:
-        tables.split_at_markers(table)
     with progress_bar("bench") as show:
         found = run.bench(options, show)
     if out is not None:
         draw_bench(found, out / "bench.png")
         (out / "bench.json").write_text(jsonlib.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")
-    if table is not None:
-        command = shlex.join(["slipguard", *sys.argv[1:]])
-        tables.write_into(table, tables.markdown(found, command))
     if json:
         print(jsonlib.dumps(found.as_json()))
         return
@@ -90,7 +76,6 @@ def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers:
     from slipguard.bench.grip.campaign import CampaignPlan, run
     from slipguard.bench.grip.campaign_figures import as_json, checks, failures, scenarios
     from slipguard.bench.grip.report import draw, print_tables
-    from slipguard.cli.terminal import progress_bar
 
     plan = CampaignPlan.of(quick=quick, seed=seed)
     progress = Console(stderr=True)

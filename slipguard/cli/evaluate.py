@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slipguard.cli.terminal import count_bar, progress_bar
+from slipguard.cli.terminal import count_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     help="Compare estimated rotations with known ones: the paper's grasp-and-lift experiment, with two markers and an "
-    "external camera, or rotated images of real presses.\n\n"
+    "external camera.\n\n"
     "Example: `slipguard evaluate run --sim --out eval/`, `slipguard evaluate report eval/`"
 )
 Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")]
@@ -170,45 +170,6 @@ def report(
     from slipguard.tools.parallel import Workers
 
     _report(folder, networks, Workers(jobs, cluster), json)
-
-
-@app.command("rotated-presses")
-def rotated_presses(
-    folder: Annotated[Path, typer.Argument(help="Folder with taxim_sphere/ and anytouch2_force2/.")],
-    part: Annotated[str, typer.Option(help="Presses to rotate: tune, test or all.")] = "test",
-    model: Annotated[Path | None, typer.Option(help="Network (.onnx) to use instead of the shipped one.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per data set and method.")] = False,
-) -> None:
-    """Rotate images of real presses by known angles and measure the error of the estimates.
-
-    Semi-synthetic: the images are from a real sensor, the rotation is computed. With `relit` the illumination stays
-    fixed, as on a real sensor; with `rigid` it rotates with the press, which makes the task easier.
-
-    Example: `slipguard evaluate rotated-presses real_digit/ --part test --json`
-    """
-    from dataclasses import asdict, fields
-
-    from rich.console import Console
-    from rich.table import Table
-
-    from slipguard.evaluation import rotated_presses as presses
-    from slipguard.perception.contact.segmenter import Segmenter
-
-    segmenter = Segmenter(model)
-    rows: list[presses.PressStatistics] = []
-    for method in presses.ROTATION_METHODS:
-        with progress_bar(method) as show:
-            rows += presses.press_statistics(presses.measure_presses(folder, part, method, segmenter, show), method)
-    if json:
-        for row in rows:
-            print(jsonlib.dumps(asdict(row)))
-        return
-    table = Table(title=f"Semi-synthetic rotations, part {part}", title_justify="left")
-    for field in fields(presses.PressStatistics):
-        table.add_column(field.name.replace("_", " "))
-    for row in rows:
-        table.add_row(*("" if value is None else str(value) for value in asdict(row).values()))
-    Console().print(table)
 
 
 def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipguard.cli.terminal import make_folder
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ def measure(
     files = find_image_files(paths)
     if masks is not None:
         _check_mask_names([file for file in files if file.suffix.lower() in IMAGE_ENDINGS])
-        _make_folder(masks)
+        make_folder(masks, "--masks")
     background_image = None if background is None else read_gel_image(background)
     choices: dict[str, str | Path] = {"reference": reference.value}
     if model is not None:
@@ -98,13 +99,6 @@ def _check_mask_names(files: list[Path]) -> None:
         if file.stem in names:
             raise InputError(f"{file} and {names[file.stem]} would both write {file.stem}.png; measure them separately")
         names[file.stem] = file
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--masks {folder}: cannot create the folder ({error.strerror})") from error
 
 
 def _check_estimator(name: str) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from slipguard.cli.interrupt import default_interrupts
+from slipguard.cli.terminal import make_folder
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,8 +46,7 @@ def simulate(*, seed: int, lifts: int | None, guarded: bool, json: bool, out: Pa
 
     if lifts is not None and lifts < 1:
         raise InputError(f"--lifts {lifts}: at least one lift is needed")
-    if out is not None:
-        _make_folder(out)
+    make_folder(out)
     log.configure(level=logging.CRITICAL)
     realtime = speed is Speed.realtime
     settings = CampaignSettings(seed=seed, lifts=lifts, guarded=guarded, realtime=realtime)
@@ -112,13 +112,6 @@ def _next_steps(settings: CampaignSettings, out: Path | None) -> str:
     steps.append(("slipguard run --sim", "the daemon, for `slipguard ctl`"))
     width = max(len(command) for command, _ in steps)
     return "\n".join(["next steps:", *(f"  {command:{width}}  {what}" for command, what in steps)])
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {path}: cannot create the folder ({error.strerror}); use another path") from error
 
 
 @contextmanager

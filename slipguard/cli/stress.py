@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slipguard.atomic_file import write_atomically
-from slipguard.cli.terminal import progress_bar
+from slipguard.cli.terminal import make_folder, progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,8 +46,7 @@ def stress(
 
     families = select_families(only or [])
     workers = Workers(jobs, cluster)
-    if out is not None:
-        _make_folder(out)
+    make_folder(out)
     progress = Console(stderr=True)
 
     def save(outcome: StressOutcome) -> None:
@@ -72,13 +71,6 @@ def stress(
         progress.print(f"plot: {out / PLOT}")
     if outcome.failed:
         raise typer.Exit(1)
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--out {path}: cannot create the folder: {error}") from error
 
 
 def _write(path: Path, text: str) -> None:

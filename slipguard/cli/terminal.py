@@ -1,4 +1,4 @@
-"""Progress bars on standard error, and questions on standard input while an event loop runs."""
+"""Progress bars on standard error, output folders, and questions on standard input while an event loop runs."""
 
 from __future__ import annotations
 
@@ -8,47 +8,70 @@ import sys
 import termios
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Protocol
 
+from slipguard.errors import InputError
 
-class CountCallback(Protocol):
-    """Updates a bar that counts items."""
 
-    def __call__(self, done: int, total: int | None = None, /) -> None: ...
+class ProgressCallback(Protocol):
+    """Updates a bar: the amount done, the total if it was not known before, and the present step."""
+
+    def __call__(self, done: float, total: float | None = None, step: str | None = None, /) -> None: ...
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, float | None], ProgressCallback]]:
+    """Show bars on a terminal; the callback adds one with a description and the total, None if not yet known."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda description, total: lambda done, new_total=None, step=None: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bars:
+
+        def add(description: str, total: float | None) -> ProgressCallback:
+            task = bars.add_task(description, total=total)
+            return lambda done, new_total=None, step=None: bars.update(
+                task, completed=done, total=new_total, description=step
+            )
+
+        yield add
 
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[str, float], None]]:
     """Show a bar on a terminal; the callback takes the present step and the completed share, 0 to 1."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda step, share: None
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(description, total=1.0)
-        yield lambda step, share: bar.update(task, description=step, completed=share)
+    with progress_bars() as add:
+        update = add(description, 1.0)
+        yield lambda step, share: update(share, None, step)
 
 
 @contextmanager
-def count_bar(description: str, total: int | None = None) -> Iterator[CountCallback]:
+def count_bar(description: str, total: int | None = None) -> Iterator[ProgressCallback]:
     """Show a bar on a terminal; the callback takes the number of completed items, and the total if not given here."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    with progress_bars() as add:
+        yield add(description, total)
 
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda done, total=None: None
+
+def make_folder(path: Path | None, option: str = "--out") -> None:
+    """Create the folder of an option, if one is given. Raises InputError."""
+    if path is None:
         return
-    columns = (TextColumn(description), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda done, new_total=None: bar.update(
-            task, completed=done, total=total if new_total is None else new_total
-        )
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{option} {path}: cannot create the folder: {error.strerror}. Choose another one") from error
 
 
 async def ask(text: str, word: str) -> bool:

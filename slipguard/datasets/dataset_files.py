@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import pairwise
@@ -27,6 +27,8 @@ Files = dict[str, bytes]
 """One frame's PNG files by folder."""
 IMAGES, BACKGROUNDS, MASKS = "images", "backgrounds", "masks"
 MANIFEST_NAME = "manifest.jsonl"
+IMPORTED_LABEL = "imported"
+"""What the masks of an imported data set mean: only their author knows."""
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp"})
 
 
@@ -133,6 +135,13 @@ def data_set_pairs(folder: Path) -> list[tuple[Path, Path]]:
     if missing:
         raise InputError(f"{missing[0]}: missing ({len(missing)} of {len(pairs)} masks); import the images again")
     return pairs
+
+
+def labeled_frames(folder: Path) -> Iterator[tuple[Image, Image | None, NDArray[np.bool_]]]:
+    """Yield image, background image (None if the data set has none) and mask of every frame. Raises InputError."""
+    for image, mask in data_set_pairs(folder):
+        background = folder / BACKGROUNDS / image.name
+        yield read_bgr(image), read_bgr(background) if background.is_file() else None, read_bgr(mask)[..., 0] > 127
 
 
 def read_backgrounds(folder: Path) -> list[Image]:

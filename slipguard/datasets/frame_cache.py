@@ -1,4 +1,4 @@
-"""Rendered frames on disk, at network resolution, so that training can be stopped, resumed and repeated."""
+"""Frames for training at network resolution: rendered ones, kept on disk for a later run, or those of a data set."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.datasets.dataset_files import labeled_frames
 from slipguard.datasets.samples import render_sample
+from slipguard.errors import InputError
 from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+from slipguard.perception.quality.background import estimate_background
 from slipguard.sim.contact_label import LABEL_NAME, label
 
 CHUNK = 200
@@ -23,8 +26,8 @@ VALIDATION_SEED = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RenderedFrames:
-    """Memory-mapped arrays. frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
+class TrainingFrames:
+    """frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120) uint8, 255 is contact."""
 
     frame: NDArray[np.uint8]
     background: NDArray[np.uint8]
@@ -39,7 +42,7 @@ def rendered_frames(
     first_seed: int,
     count: int,
     progress: Callable[[int], None],
-) -> RenderedFrames:
+) -> TrainingFrames:
     """Return the frames of `count` seeds from `first_seed` on, from the cache in `work` if available.
 
     `progress` is called with the number of frames ready. Frames rendered before an interruption are kept.
@@ -66,7 +69,27 @@ def rendered_frames(
         ready = chunk_end
         progress_file.write_text(json.dumps({"ready": ready}))
         progress(ready)
-    return RenderedFrames(frame, background, labels)
+    return TrainingFrames(frame, background, labels)
+
+
+def read_frames(folder: Path) -> tuple[TrainingFrames, TrainingFrames]:
+    """Return the frames of a data set, for training and held out. Missing background images are estimated.
+
+    Held out is the last tenth by name, at least one frame, so that neighbors in a recording stay together.
+
+    Raises:
+        InputError: If the folder contains no data set, or fewer than two frames.
+    """
+    rows = []
+    for image, background, mask in labeled_frames(folder):
+        frame = _at_network_size(image)
+        shown = estimate_background(frame) if background is None else _at_network_size(background)
+        rows.append((frame, shown, _at_network_size(mask * np.uint8(255))))
+    if len(rows) < 2:
+        raise InputError(f"{folder} contains one frame, minimum 2: one is held out. Add frames.")
+    arrays = [np.stack(column) for column in zip(*rows, strict=True)]
+    split = len(rows) - max(len(rows) // 10, 1)
+    return TrainingFrames(*(one[:split] for one in arrays)), TrainingFrames(*(one[split:] for one in arrays))
 
 
 def _key(first_seed: int, count: int) -> str:

@@ -13,6 +13,7 @@ import numpy as np
 from slipguard.datasets.dataset_files import (
     BACKGROUNDS,
     IMAGES,
+    IMPORTED_LABEL,
     MANIFEST_NAME,
     MASKS,
     DataSetWriter,
@@ -30,7 +31,6 @@ _MASK_WORDS = r"masks?|labels?|gt|seg|segmentation|ground_?truth|annotations?|ta
 _MASK_FOLDER = re.compile(_MASK_WORDS, re.IGNORECASE)
 _MASK_ENDING = re.compile(rf"(?<=.)[_.-]({_MASK_WORDS})$")
 _IMAGE_FOLDER = re.compile(r"images?|imgs?|frames?|rgb|inputs?|jpegimages", re.IGNORECASE)
-LABEL_NAME = "imported"
 SHAPE_TOLERANCE = 0.02
 """Tolerance of the 3:4 side ratio before an image counts as stretched."""
 _SIZE = (FRAME_WIDTH_PX, FRAME_HEIGHT_PX)
@@ -125,8 +125,9 @@ def import_dataset(
                 left_out.append(result)
                 continue
             files = result.files if under is None else result.files | {BACKGROUNDS: under}
-            name = {"file": f"{writer.written:06d}.png", "source": pair.name, "split": "imported", "label": LABEL_NAME}
-            writer.add(name | {"has_contact": result.share > 0.0, "contact_share": round(result.share, 5)}, files)
+            name = {"file": f"{writer.written:06d}.png", "source": pair.name, "split": "imported"}
+            found = {"has_contact": result.share > 0.0, "contact_share": round(result.share, 5)}
+            writer.add(name | {"label": IMPORTED_LABEL} | found, files)
             rotated += result.rotated
             stretched += result.stretched
     if writer.written == 0:

@@ -1,12 +1,10 @@
-"""Export of networks as ONNX files that fulfill the model contract: float16 weights, a check against torch, int8."""
+"""Export of networks as ONNX files that fulfill the model contract: float16 weights, and a check against torch."""
 
 from __future__ import annotations
 
 import copy
-import logging
-import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +14,12 @@ import onnxruntime as ort
 import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch import Tensor, nn
+from torch import nn
 
-from slipguard.datasets.frame_cache import RenderedFrames
+from slipguard.datasets.frame_cache import TrainingFrames
 from slipguard.errors import ModelError
 from slipguard.perception.contact.segmenter import CONTRACT, CONTRACT_ANY_INPUT, INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.sim.contact_label import LABEL_NAME
-from slipguard.training.paper.frames import MaskedFrames
-from slipguard.training.paper.networks import FrameNet
 from slipguard.training.small_network import ProbabilityNet, SmallNet, example_inputs
 
 DIFFERENCE_MAX = 1e-4
@@ -33,59 +29,45 @@ CHECKED_FRAMES = 32
 """Frames on which both are compared."""
 FLOAT16_FROM = 1024
 """Arrays of at least this many weights are stored as float16: the convolutions, which make up the size."""
-CALIBRATION_FRAMES = 64
-"""Frames that define the range of int8 activations."""
-CONVOLUTIONS = ("Conv",)
-QUANTIZED_OPERATORS = (*CONVOLUTIONS, "Relu", "MaxPool", "Add")
 INPUTS = ("frame", "background", "background_known")
-SMALL_SIZE_PX = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
 
 Feed = dict[str, NDArray[Any]]
 """Inputs of the graph by name."""
 
 
-def small_metadata(command: str, seed: int, threshold: float) -> dict[str, str]:
-    """Return the metadata of the model contract for the small network."""
-    return _metadata(CONTRACT, command, seed, threshold, LABEL_NAME, SMALL_SIZE_PX)
-
-
-def paper_metadata(command: str, seed: int, threshold: float, label: str, size_px: tuple[int, int]) -> dict[str, str]:
-    """Return the metadata of the model contract for one of the paper's networks.
+def model_metadata(
+    command: str, seed: int, threshold: float, label: str = LABEL_NAME, size_px: tuple[int, int] | None = None
+) -> dict[str, str]:
+    """Return the metadata of the model contract.
 
     Args:
         command: The command that makes the network.
         seed: Its seed.
         threshold: Probability above which a pixel is contact.
         label: What the masks mean, in words.
-        size_px: (width, height) of the input.
+        size_px: (width, height) of the input of a network that sees the frame only; None for the small network.
     """
-    return _metadata(CONTRACT_ANY_INPUT, command, seed, threshold, label, size_px)
+    width, height = size_px or (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
+    return {
+        "slipguard_contract": CONTRACT if size_px is None else CONTRACT_ANY_INPUT,
+        "threshold": f"{threshold:g}",
+        "label": label,
+        "command": command,
+        "seed": str(seed),
+        "input_size": f"{width}x{height}",
+    }
 
 
-def export_small(net: SmallNet, path: Path, metadata: Mapping[str, str], frames: RenderedFrames) -> float:
+def export_small(net: SmallNet, path: Path, metadata: Mapping[str, str], frames: TrainingFrames) -> float:
     """Write the small network to `path`; return the largest difference of its probabilities to torch's.
 
     Raises:
         ModelError: As `write_checked`.
     """
     rounded = copy.deepcopy(net)
-    _round_to_float16(rounded)
+    round_to_float16(rounded)
     example = dict(zip(INPUTS, (one.numpy() for one in example_inputs()), strict=True))
     return write_checked(ProbabilityNet(rounded).eval(), example, path, metadata, _small_feeds(frames))
-
-
-def export_paper(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: MaskedFrames) -> float:
-    """Write one of the paper's networks to `path`; return the largest difference of its probabilities to torch's.
-
-    Raises:
-        ModelError: As `write_checked`.
-    """
-    rounded: Any = copy.deepcopy(net).to("cpu")
-    rounded.to(memory_format=torch.contiguous_format)
-    _round_to_float16(rounded)
-    feeds = ({"frame": np.array(frames.frame[at : at + 1])} for at in range(min(CHECKED_FRAMES, len(frames))))
-    example = {"frame": np.array(frames.frame[:1])}
-    return write_checked(_FrameProbabilityNet(rounded).eval(), example, path, metadata, feeds)
 
 
 def write_checked(
@@ -138,45 +120,6 @@ def write_checked(
     return difference
 
 
-def write_int8(
-    path: Path, target: Path, sample: Iterable[Feed], operators: Sequence[str] = QUANTIZED_OPERATORS
-) -> None:
-    """Write the network of `path` to `target` with weights and activations in int8: smaller, on some processors faster.
-
-    Each output channel of a convolution has its own scale; the range of activations is that on the sample. The
-    metadata are kept, with ` --int8` after the command.
-    """
-    from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
-    from onnxruntime.quantization.shape_inference import quant_pre_process
-
-    root = logging.getLogger()
-    level = root.level
-    root.setLevel(logging.ERROR)  # it recommends what is done here already
-    try:
-        with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            prepared = Path(folder) / "prepared.onnx"
-            quant_pre_process(str(path), str(prepared), skip_symbolic_shape=True)
-            quantize_static(
-                str(prepared),
-                str(target),
-                _CalibrationSample(sample),
-                quant_format=QuantFormat.QDQ,
-                activation_type=QuantType.QUInt8,
-                weight_type=QuantType.QInt8,
-                per_channel=True,
-                op_types_to_quantize=list(operators),
-            )
-    finally:
-        root.setLevel(level)
-    model: Any = onnx.load(str(target))
-    del model.metadata_props[:]
-    for entry in onnx.load(str(path)).metadata_props:
-        value = f"{entry.value} --int8" if entry.key == "command" else entry.value
-        model.metadata_props.add(key=entry.key, value=value)
-    onnx.save(model, str(target))
-
-
 def open_session(path: Path, threads: int = 1) -> Any:
     """Return an onnxruntime session of a file, on the CPU."""
     options = ort.SessionOptions()
@@ -185,55 +128,14 @@ def open_session(path: Path, threads: int = 1) -> Any:
     return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 
-class _FrameProbabilityNet(nn.Module):
-    """Returns probabilities instead of logits."""
-
-    def __init__(self, net: FrameNet) -> None:
-        super().__init__()
-        self.net = net
-
-    def forward(self, frame: Tensor) -> Tensor:
-        return torch.sigmoid(self.net(frame))
-
-
-class _CalibrationSample:
-    """The quantizer's interface to its input, one frame at a time, None at the end."""
-
-    def __init__(self, sample: Iterable[Feed]) -> None:
-        self._feeds = iter(sample)
-
-    def get_next(self) -> Feed | None:
-        return next(self._feeds, None)
-
-    def __iter__(self) -> Iterator[Feed]:
-        while (feed := self.get_next()) is not None:
-            yield feed
-
-    def set_range(self, start_index: int, end_index: int) -> None:
-        """Do nothing: the sample is small and read as a whole."""
-
-
-def _metadata(
-    contract: str, command: str, seed: int, threshold: float, label: str, size_px: tuple[int, int]
-) -> dict[str, str]:
-    return {
-        "slipguard_contract": contract,
-        "threshold": f"{threshold:g}",
-        "label": label,
-        "command": command,
-        "seed": str(seed),
-        "input_size": f"{size_px[0]}x{size_px[1]}",
-    }
-
-
-def _small_feeds(frames: RenderedFrames) -> Iterator[Feed]:
+def _small_feeds(frames: TrainingFrames) -> Iterator[Feed]:
     """Yield inputs, every other one without a known background image."""
     for index in range(min(CHECKED_FRAMES, len(frames))):
         frame, background = (np.array(some[index : index + 1]) for some in (frames.frame, frames.background))
         yield dict(zip(INPUTS, (frame, background, np.array([float(index % 2)], np.float32)), strict=True))
 
 
-def _round_to_float16(net: nn.Module) -> None:
+def round_to_float16(net: nn.Module) -> None:
     """Round the large weights to float16, so that storing them loses nothing; computation stays float32."""
     with torch.no_grad():
         for weights in net.parameters():

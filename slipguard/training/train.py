@@ -16,8 +16,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from slipguard.datasets.frame_cache import RenderedFrames
-from slipguard.datasets.mask_scores import RealFrame, dice, iou
+from slipguard.datasets.frame_cache import TrainingFrames
+from slipguard.datasets.mask_scores import dice, iou
 from slipguard.errors import InputError
 from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.perception.quality.background import estimate_background
@@ -82,8 +82,8 @@ def segmentation_loss(logits: Tensor, label: Tensor) -> Tensor:
 
 
 def train(
-    frames: RenderedFrames,
-    validation: RenderedFrames,
+    frames: TrainingFrames,
+    validation: TrainingFrames,
     settings: TrainSettings,
     work: Path,
     on_step: Callable[[int, int], None],
@@ -155,7 +155,7 @@ def train(
 
 
 def _augment(
-    frames: RenderedFrames, settings: TrainSettings, epoch: int, backgrounds: list[NDArray[np.uint8]] | None
+    frames: TrainingFrames, settings: TrainSettings, epoch: int, backgrounds: list[NDArray[np.uint8]] | None
 ) -> Augment:
     height, width = frames.label.shape[1:]
     return Augment(
@@ -235,7 +235,7 @@ def probabilities(net: SmallNet, frame: NDArray[np.uint8], background: NDArray[n
     return torch.sigmoid(logits)[:, 0]
 
 
-def rendered_scores(net: SmallNet, frames: RenderedFrames, threshold: float) -> tuple[float, float, float]:
+def rendered_scores(net: SmallNet, frames: TrainingFrames, threshold: float) -> tuple[float, float, float]:
     """Return mean Dice and IoU over frames with contact, and the share of false contacts over those without."""
     overlaps: list[tuple[float, float]] = []
     false_contacts: list[bool] = []
@@ -251,29 +251,22 @@ def rendered_scores(net: SmallNet, frames: RenderedFrames, threshold: float) -> 
     return float(means[0]), float(means[1]), float(np.mean(false_contacts)) if false_contacts else 0.0
 
 
-def real_scores(
+def frame_iou(
     net: SmallNet,
-    frames: list[RealFrame],
+    image: NDArray[np.uint8],
+    background: NDArray[np.uint8] | None,
+    mask: NDArray[np.bool_],
     threshold: float,
     size: tuple[int, int] = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX),
-) -> dict[str, float]:
-    """Return the mean IoU per group and split ("taxim_sphere tune") of real frames, compared at frame size.
+) -> float:
+    """Return the IoU of a frame's segmented contact with its label, at the label's size.
 
-    Args:
-        net: The network.
-        frames: Real frames with masks.
-        threshold: Probability above which a pixel is contact.
-        size: (width, height) of the network's input.
+    Without a background image it is estimated from the frame. size: (width, height) of the network's input.
     """
-    scores: dict[str, list[float]] = {}
-    for real in frames:
-        small = cv2.resize(real.image, size, interpolation=cv2.INTER_AREA)
-        known = real.background is not None
-        if real.background is None:
-            background = estimate_background(np.asarray(small, np.uint8))
-        else:
-            background = np.asarray(cv2.resize(real.background, size, interpolation=cv2.INTER_AREA), np.uint8)
-        probability = probabilities(net, np.asarray(small, np.uint8)[None], background[None], known)[0].numpy()
-        mask = cv2.resize(probability, (real.mask.shape[1], real.mask.shape[0])) > threshold
-        scores.setdefault(f"{real.group} {real.split}", []).append(iou(np.asarray(mask), real.mask))
-    return {group: float(np.mean(values)) for group, values in scores.items()}
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    if background is None:
+        shown = estimate_background(small)
+    else:
+        shown = np.asarray(cv2.resize(background, size, interpolation=cv2.INTER_AREA), np.uint8)
+    probability = probabilities(net, small[None], shown[None], background is not None)[0].numpy()
+    return iou(np.asarray(cv2.resize(probability, mask.shape[::-1]) > threshold), mask)

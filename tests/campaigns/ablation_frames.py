@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.frame_cache import VALIDATION_SEED, RenderedFrames
+from slipguard.datasets.frame_cache import VALIDATION_SEED, TrainingFrames
 from slipguard.datasets.samples import RenderedSample, press_of, render_sample
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.contact_label import closed_region, label
@@ -60,9 +60,9 @@ class StoredFrames:
         """Return the first `count` frames."""
         return StoredFrames(*(getattr(self, name)[:count] for name in self.__slots__))
 
-    def at(self, size: tuple[int, int], masks: NDArray[np.uint8]) -> RenderedFrames:
+    def at(self, size: tuple[int, int], masks: NDArray[np.uint8]) -> TrainingFrames:
         """Return frames and labels, area-averaged to (width, height)."""
-        return RenderedFrames(*(_smaller(a, size) for a in (self.frame, self.background, masks * np.uint8(255))))
+        return TrainingFrames(*(_smaller(a, size) for a in (self.frame, self.background, masks * np.uint8(255))))
 
 
 def training_frames(work: Path, count: int, progress: Callable[[int], None]) -> StoredFrames:

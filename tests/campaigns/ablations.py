@@ -20,15 +20,17 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from slipguard.datasets.dataset_files import read_backgrounds
-from slipguard.datasets.frame_cache import RenderedFrames
-from slipguard.datasets.mask_scores import RealFrame, dice, iou, real_frames
+from slipguard.datasets.frame_cache import TrainingFrames
+from slipguard.datasets.mask_scores import dice, iou
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.contact_label import PRESS_SHARE
-from slipguard.training.onnx_export import CALIBRATION_FRAMES, CONVOLUTIONS, open_session, write_int8
+from slipguard.training.onnx_export import open_session
 from slipguard.training.small_network import Inputs, ProbabilityNet, SmallNet
-from slipguard.training.train import TrainSettings, probabilities, real_scores, train
+from slipguard.training.train import TrainSettings, frame_iou, probabilities, train
 from tests.campaigns.ablation_frames import CONTACT, StoredFrames, held_out_frames, training_frames
+from tests.campaigns.int8_export import CALIBRATION_FRAMES, CONVOLUTIONS, write_int8
 from tests.campaigns.real_backgrounds import no_contact_frames
+from tests.campaigns.real_frames import RealFrame, real_frames
 
 HELD_OUT_FRAMES = 240
 CROP_MARGIN_PX, CROP_STEP_PX = 12, 16
@@ -83,7 +85,16 @@ def scores(net: SmallNet, variant: Variant, drawn: StoredFrames, real: list[Real
         if truth.any()
     ]
     means = np.mean(found, 0)
-    return {"dice": float(means[0]), "iou": float(means[1])} | real_scores(net, real, THRESHOLD, variant.size)
+    return {"dice": float(means[0]), "iou": float(means[1])} | real_scores(net, real, variant.size)
+
+
+def real_scores(net: SmallNet, frames: list[RealFrame], size: tuple[int, int]) -> dict[str, float]:
+    """Return the mean IoU per group and split ("taxim_sphere tune") of real frames."""
+    found: dict[str, list[float]] = {}
+    for real in frames:
+        one = frame_iou(net, real.image, real.background, real.mask, THRESHOLD, size)
+        found.setdefault(f"{real.group} {real.split}", []).append(one)
+    return {group: float(np.mean(values)) for group, values in found.items()}
 
 
 def dice_and_iou(probability: NDArray[np.float32], truth: NDArray[np.bool_]) -> tuple[float, float]:
@@ -109,7 +120,7 @@ def export_network(net: SmallNet, size: tuple[int, int], path: Path) -> Path:
     return path
 
 
-def export_int8(path: Path, frames: RenderedFrames) -> Path:
+def export_int8(path: Path, frames: TrainingFrames) -> Path:
     """Write the same network in int8, ranges calibrated on rendered frames, and return its path."""
     out, known = path.with_suffix(".int8.onnx"), np.ones(1, np.float32)
     sample = (
@@ -128,14 +139,14 @@ def run_network(network: Any, frame: NDArray[np.uint8], background: NDArray[np.u
     return probability
 
 
-def score_full_frames(network: Any, shown: RenderedFrames, masks: NDArray[np.uint8]) -> tuple[float, float]:
+def score_full_frames(network: Any, shown: TrainingFrames, masks: NDArray[np.uint8]) -> tuple[float, float]:
     """Return the mean Dice and IoU of an ONNX network."""
     pairs = zip(shown.frame, shown.background, masks, strict=True)
     found = [dice_and_iou(run_network(network, f, b), m > 0) for f, b, m in pairs if m.any()]
     return float(np.mean([d for d, _ in found])), float(np.mean([i for _, i in found]))
 
 
-def score_crops(net: SmallNet, shown: RenderedFrames, masks: NDArray[np.uint8]) -> tuple[float, float, float]:
+def score_crops(net: SmallNet, shown: TrainingFrames, masks: NDArray[np.uint8]) -> tuple[float, float, float]:
     """Return mean Dice, mean IoU and the mean crop area as a share of the image, with a crop around the known patch."""
     found, shares = [], []
     for frame, background, small, mask in zip(shown.frame, shown.background, shown.label, masks, strict=True):
@@ -240,7 +251,7 @@ def _trained(
     unpressed: list[NDArray[np.uint8]] | None,
 ) -> SmallNet:
     frames = shown.at(variant.size, shown.masks(variant.mask))
-    few = RenderedFrames(frames.frame[:50], frames.background[:50], frames.label[:50])
+    few = TrainingFrames(frames.frame[:50], frames.background[:50], frames.label[:50])
 
     def nothing(*_: object) -> None:
         return

@@ -12,6 +12,7 @@ import typer
 from slipguard.cli import app as product
 from tests.campaigns.api_load import api_load
 from tests.campaigns.faults.command import faults
+from tests.campaigns.paper_networks.recipe import Arch, RecipeName
 from tests.campaigns.recording_cost import recording_cost
 from tests.campaigns.soak.command import soak
 
@@ -135,6 +136,93 @@ def make_timing_network(path: Annotated[Path, typer.Argument(help="The .onnx fil
     from tests.campaigns.timing_network import write_timing_network
 
     write_timing_network(path)
+
+
+@app.command()
+def bench_table(
+    page: Annotated[Path, typer.Argument(help="Markdown file in which the table between the markers is updated.")],
+    models: Annotated[Path, typer.Option(help="Folder of networks to compare.")] = Path("models"),
+    quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object.")] = False,
+) -> None:
+    """Measure every network with every estimator by `slipguard bench`, and write the table of the model card.
+
+    Example: `python -m tests.campaigns bench-table models/README.md`
+    """
+    from slipguard.bench.run import BenchOptions, bench
+    from tests.campaigns.bench_table import markdown, split_at_markers, write_into
+
+    split_at_markers(page)
+    found = bench(BenchOptions(quick, models=models))
+    write_into(page, markdown(found, f"python -m tests.campaigns bench-table {page}"))
+
+
+@app.command()
+def rotated_presses(
+    folder: Annotated[Path, typer.Argument(help="Folder with taxim_sphere/ and anytouch2_force2/.")],
+    part: Annotated[str, typer.Option(help="Presses to rotate: tune, test or all.")] = "test",
+    model: Model = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object per data set and method.")] = False,
+) -> None:
+    """Rotate images of real presses by known angles and measure the error of the estimates.
+
+    Semi-synthetic: the images are from a real sensor, the rotation is computed. With `relit` the illumination stays
+    fixed, as on a real sensor; with `rigid` it rotates with the press, which makes the task easier.
+
+    Example: `python -m tests.campaigns rotated-presses real_digit/ --part test --json`
+    """
+    from slipguard.perception.contact.segmenter import Segmenter
+    from tests.campaigns.rotated_presses import ROTATION_METHODS, measure_presses, press_statistics
+
+    segmenter = Segmenter(model)
+    for method in ROTATION_METHODS:
+        for row in press_statistics(measure_presses(folder, part, method, segmenter), method):
+            print(jsonlib.dumps(asdict(row)) if json else row)
+
+
+@app.command()
+def train_paper_network(
+    arch: Annotated[Arch, typer.Argument(help="Network to train.")],
+    recipe: Annotated[RecipeName, typer.Option(help="Training settings.")] = RecipeName.paper,
+    out: Annotated[Path | None, typer.Option(help="ONNX file to write. Default: models/ARCH-resnet18.onnx.")] = None,
+    data: Annotated[
+        Path | None, typer.Option(help="Data set to train on instead of rendered frames; see `slipguard dataset`.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=64, help="Number of rendered frames. Default: 3675.")] = None,
+    epochs: Annotated[int | None, typer.Option(min=1, help="Epochs. Default: those of the recipe.")] = None,
+    batch: Annotated[int | None, typer.Option(min=2, help="Batch size. Default: that of the recipe.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=1e-6, max=1.0, help="Maximum learning rate. Default: that of the recipe.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
+    threshold: Annotated[float, typer.Option(min=0.05, max=0.95, help="Minimum probability of a contact pixel.")] = 0.5,
+    threads: Annotated[int, typer.Option(min=1, help="Number of torch threads.")] = 2,
+    bfloat16: Annotated[bool, typer.Option(help="Use bfloat16, where the processor supports it.")] = False,
+    start: Annotated[Path | None, typer.Option(help="Start from the weights.pt of an earlier training.")] = None,
+    encoder_weights: Annotated[
+        Path | None, typer.Option(help="Initial weights of the ResNet18 encoder. Default: random.")
+    ] = None,
+    int8: Annotated[bool, typer.Option("--int8", help="Also write an int8 file, and evaluate both.")] = False,
+    work: Annotated[
+        Path, typer.Option(help="Folder for rendered frames and the checkpoint. A stopped training is continued.")
+    ] = Path("build/train"),
+    cluster: Annotated[str | None, typer.Option(help="Dask scheduler to render on: tcp://HOST:8786.")] = None,
+) -> None:
+    """Train one of the networks of the paper and export it as ONNX, to compare with.
+
+    Needs `pip install 'slipguard[train]'`.
+
+    Example: `python -m tests.campaigns train-paper-network deeplabv3plus --recipe short --bfloat16`
+    """
+    from tests.campaigns.paper_networks.command import PaperTrainingOptions, train_paper
+
+    changed = {key: value for key, value in (("epochs", epochs), ("batch", batch), ("rate", rate)) if value}
+    out = out or Path(f"models/{arch.value}-resnet18.onnx")
+    train_paper(
+        PaperTrainingOptions(
+            arch.value, recipe.value, changed, out, work, frames, data, start, encoder_weights, int8, bfloat16, seed,
+            threads, threshold, cluster,
+        )
+    )  # fmt: skip
 
 
 def run(arguments: list[str] | None = None) -> int:

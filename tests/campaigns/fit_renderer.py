@@ -21,7 +21,7 @@ from slipguard.sim.imprint import Imprinter
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
 from slipguard.sim.shapes import sphere
-from tests.campaigns.real_presses import RealPress, read_presses, write_sheet
+from tests.campaigns.ball_presses import RealPress, read_presses, write_sheet
 
 Vector = NDArray[np.float64]
 POSE_STEPS = np.array([0.03, 0.03, 0.03])

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp, render_grasp
 from slipguard.devices import Frame
-from slipguard.evaluation.rotated_presses import PX_PER_MM, press_images, rotated_grasp
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.rotation.texture_map import TextureMapReader
@@ -33,6 +32,7 @@ from slipguard.perception.rotation.texture_registration import (
 from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.sim.catalogue import object_names
 from slipguard.tools.image_files import read_gel_image
+from tests.campaigns.rotated_presses import PX_PER_MM, press_images, rotated_grasp
 
 SEED = 7400
 FRAME_PX = 2.0

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import RealFrame, read_bgr
+from slipguard.datasets.mask_scores import read_bgr
+from tests.campaigns.real_frames import RealFrame
 
 NOISE_BGR = (2.9, 1.5, 2.4)
 """Temporal noise of two real units, standard deviation in gray levels per channel."""

@@ -18,7 +18,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import RealFrame, indenter_frames, sphere_frames
 from slipguard.datasets.rendered_grasps import (
     CLOSING_FRAMES,
     EMPTY_FRAMES,
@@ -35,6 +34,7 @@ from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
+from tests.campaigns.real_frames import RealFrame, indenter_frames, sphere_frames
 
 RotationMethod = Literal["relit", "rigid"]
 ROTATION_METHODS: tuple[RotationMethod, ...] = ("relit", "rigid")

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.datasets.mask_scores import TUNING_INDENTER_LAST
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
+from tests.campaigns.real_frames import TUNING_INDENTER_LAST
 
 pytestmark = pytest.mark.real
 FRAMES_APART = 4

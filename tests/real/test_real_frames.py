@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
-from slipguard.datasets.mask_scores import RealFrame, iou, real_frames
+from slipguard.datasets.mask_scores import iou
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import has_few_levels, is_coarsely_compressed
 from tests.campaigns.real_backgrounds import no_contact_frames
+from tests.campaigns.real_frames import RealFrame, real_frames
 
 pytestmark = pytest.mark.real
 

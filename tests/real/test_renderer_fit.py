@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slipguard.sim.sensor_unit import SensorUnit
+from tests.campaigns.ball_presses import read_presses
 from tests.campaigns.fit_renderer import BALL_RADIUS_MM, correlation, drawn_difference, refined_pose
-from tests.campaigns.real_presses import read_presses
 
 FITTED_PRESSES = 15
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import pytest
@@ -28,8 +29,8 @@ class Ran:
         return self.err.removeprefix("slipguard: ").rstrip("\n")
 
 
-def slipguard(capfd: pytest.CaptureFixture[str], *words: object) -> Ran:
-    """Run `slipguard WORDS...`; output of C libraries is captured, too."""
+def slipguard(capfd: pytest.CaptureFixture[str], *words: object, run: Callable[[list[str]], int] = run) -> Ran:
+    """Run `slipguard WORDS...`, or another command line; output of C libraries is captured, too."""
     capfd.readouterr()
     try:
         code = run([str(word) for word in words])

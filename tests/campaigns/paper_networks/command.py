@@ -1,18 +1,16 @@
-"""`slipguard train --arch deeplabv3plus|pspnet|unetplusplus`: train, export and evaluate a network of the paper."""
+"""`python -m tests.campaigns train-paper-network`: train, export and evaluate a network of the paper."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rich.console import Console
-    from rich.progress import Progress
-
-    from slipguard.training.paper.frames import MaskedFrames
-    from slipguard.training.paper.recipe import Recipe
-    from slipguard.training.paper.training import PaperEpoch
+    from tests.campaigns.paper_networks.frames import MaskedFrames
+    from tests.campaigns.paper_networks.recipe import Recipe
+    from tests.campaigns.paper_networks.training import PaperEpoch
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +42,15 @@ def train_paper(options: PaperTrainingOptions) -> None:
     import torch
     from rich.console import Console
 
+    from slipguard.cli.terminal import progress_bars
     from slipguard.tools.parallel import Workers
-    from slipguard.training.onnx_export import CALIBRATION_FRAMES, export_paper, paper_metadata, write_int8
-    from slipguard.training.paper.networks import FrameNet
-    from slipguard.training.paper.recipe import FRAMES, RECIPES, Arch
-    from slipguard.training.paper.report import draw_curves, score_network
-    from slipguard.training.paper.training import HISTORY, PaperTraining, choose_precision, train
+    from slipguard.training.onnx_export import model_metadata
+    from tests.campaigns.int8_export import CALIBRATION_FRAMES, write_int8
+    from tests.campaigns.paper_networks.export import export_paper
+    from tests.campaigns.paper_networks.networks import FrameNet
+    from tests.campaigns.paper_networks.recipe import FRAMES, RECIPES, Arch
+    from tests.campaigns.paper_networks.report import draw_curves, score_network
+    from tests.campaigns.paper_networks.training import HISTORY, PaperTraining, choose_precision, train
 
     console = Console()
     recipe = replace(RECIPES[options.recipe], **options.changed)
@@ -64,8 +65,8 @@ def train_paper(options: PaperTrainingOptions) -> None:
     precision = choose_precision(options.bfloat16)
     work = options.work / f"{arch.value}-{recipe.name}"
     work.mkdir(parents=True, exist_ok=True)
-    with training_progress(console) as progress:
-        shown, held_out = _frames(options, recipe, FRAMES, Workers(cluster=options.cluster), progress)
+    with progress_bars() as add_bar:
+        shown, held_out = _frames(options, recipe, FRAMES, Workers(cluster=options.cluster), add_bar)
         encoder = options.encoder_weights.name if options.encoder_weights else "random"
         encoder = "an earlier training" if options.start else encoder
         settings = PaperTraining(arch, recipe, len(shown), options.seed, encoder, precision.name)
@@ -74,7 +75,7 @@ def train_paper(options: PaperTrainingOptions) -> None:
             f"{recipe.epochs} epochs, batch {recipe.batch}, Adam {recipe.rate:g} {recipe.schedule.value}, focal loss, "
             f"encoder weights: {encoder}; {precision.name} on {precision.device}"
         )
-        training = progress.add_task("training", total=None)
+        on_step = add_bar("training", None)
 
         def on_epoch(epoch: PaperEpoch) -> None:
             console.print(
@@ -89,12 +90,12 @@ def train_paper(options: PaperTrainingOptions) -> None:
             shown,
             held_out,
             work,
-            lambda done, total: progress.update(training, completed=done, total=total),
+            on_step,
             on_epoch,
         )
     draw_curves(history, f"{arch.value}, {recipe.name}", work / "curves.png")
     console.print(f"results of each epoch in {work / HISTORY}, curves in {work / 'curves.png'}")
-    metadata = paper_metadata(
+    metadata = model_metadata(
         _command(options, len(shown)),
         options.seed,
         options.threshold,
@@ -114,26 +115,15 @@ def train_paper(options: PaperTrainingOptions) -> None:
         )
 
 
-def training_progress(console: Console) -> Progress:
-    """Return progress bars for rendering and training, with elapsed and remaining time."""
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-
-    text, bar, count = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
-    return Progress(text, bar, count, TimeElapsedColumn(), TimeRemainingColumn(), console=console)
-
-
 def _frames(
-    options: PaperTrainingOptions, recipe: Recipe, default_count: int, workers: Any, progress: Progress
+    options: PaperTrainingOptions,
+    recipe: Recipe,
+    default_count: int,
+    workers: Any,
+    add_bar: Callable[..., Any],
 ) -> tuple[MaskedFrames, MaskedFrames]:
-    from slipguard.training.paper.frames import read_masked_frames, render_masked_frames
-    from slipguard.training.paper.recipe import HELD_OUT
+    from tests.campaigns.paper_networks.frames import read_masked_frames, render_masked_frames
+    from tests.campaigns.paper_networks.recipe import HELD_OUT
 
     size_px = (recipe.width_px, recipe.height_px)
     if options.data is not None:
@@ -141,25 +131,21 @@ def _frames(
     options.work.mkdir(parents=True, exist_ok=True)
     parts = []
     for count, held_out in ((options.frames or default_count, False), (HELD_OUT, True)):
-        rendering = progress.add_task("rendering held-out frames" if held_out else "rendering", total=count)
-
-        def show(done: int, task: Any = rendering) -> None:
-            progress.update(task, completed=done)
-
+        show = add_bar("rendering held-out frames" if held_out else "rendering", count)
         parts.append(render_masked_frames(options.work, count, size_px, held_out, workers, show))
     return parts[0], parts[1]
 
 
 def _label(options: PaperTrainingOptions) -> str:
-    from slipguard.datasets.importer import LABEL_NAME as IMPORTED
+    from slipguard.datasets.dataset_files import IMPORTED_LABEL
     from slipguard.sim.contact_label import LABEL_NAME
 
-    return LABEL_NAME if options.data is None else IMPORTED
+    return LABEL_NAME if options.data is None else IMPORTED_LABEL
 
 
 def _command(options: PaperTrainingOptions, count: int) -> str:
     """Return the command that reproduces the network, without paths of this machine."""
-    words = [f"slipguard train --arch {options.arch} --recipe {options.recipe}"]
+    words = [f"python -m tests.campaigns train-paper-network {options.arch} --recipe {options.recipe}"]
     words += [f"--{key} {value:g}" for key, value in options.changed.items()]
     words += [f"--frames {options.frames}"] if options.frames is not None and options.data is None else []
     words += [f"--data ({count} frames)"] if options.data is not None else []

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from slipguard.errors import InputError
-from slipguard.training.paper.recipe import Arch
+from tests.campaigns.paper_networks.recipe import Arch
 
 ENCODER = "resnet18"
 STRIDE_PX = {Arch.deeplabv3plus: 16, Arch.pspnet: 8, Arch.unetplusplus: 32}

@@ -23,6 +23,13 @@ class Arch(StrEnum):
     unetplusplus = "unetplusplus"
 
 
+class RecipeName(StrEnum):
+    """As published, or shorter, at 120x160, for a CPU."""
+
+    paper = "paper"
+    short = "short"
+
+
 class Schedule(StrEnum):
     """Learning rate over a training: constant, or increasing for a fifth of it and then decreasing to zero."""
 

@@ -12,8 +12,8 @@ import numpy as np
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.tools.plotting import figure, save
 from slipguard.training.onnx_export import open_session
-from slipguard.training.paper.frames import MaskedFrames
-from slipguard.training.paper.training import PaperEpoch
+from tests.campaigns.paper_networks.frames import MaskedFrames
+from tests.campaigns.paper_networks.training import PaperEpoch
 
 
 @dataclass(frozen=True, slots=True)

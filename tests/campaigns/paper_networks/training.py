@@ -17,9 +17,9 @@ from torch import Tensor
 
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.errors import InputError
-from slipguard.training.paper.frames import MaskedFrames
-from slipguard.training.paper.networks import FrameNet
-from slipguard.training.paper.recipe import FOCAL_GAMMA, Arch, Recipe, Schedule
+from tests.campaigns.paper_networks.frames import MaskedFrames
+from tests.campaigns.paper_networks.networks import FrameNet
+from tests.campaigns.paper_networks.recipe import FOCAL_GAMMA, Arch, Recipe, Schedule
 
 WARM_UP_SHARE = 0.2
 CHECKPOINT, HISTORY, WEIGHTS = "checkpoint.pt", "history.json", "weights.pt"

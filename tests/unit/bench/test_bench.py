@@ -34,6 +34,7 @@ from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, Rende
 from slipguard.devices import Frame
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import default_model_path
+from tests.campaigns import bench_table
 
 KEYS = [
     "name", "network", "estimator", "p50_ms", "p99_ms", "skipped_p50_ms", "turn_error_mean_deg",
@@ -107,19 +108,19 @@ def test_times_are_compared_with_the_first_network_of_a_size_on_its_fastest_numb
 
 def test_a_table_is_written_between_the_markers_only(tmp_path: Path) -> None:
     page = tmp_path / "README.md"
-    page.write_text(f"before\n{tables.BEGIN}\nold\n{tables.END}\nafter\n")
-    tables.write_into(page, tables.markdown(found(), "slipguard bench --full"))
+    page.write_text(f"before\n{bench_table.BEGIN}\nold\n{bench_table.END}\nafter\n")
+    bench_table.write_into(page, bench_table.markdown(found(), "slipguard bench --full"))
     text = page.read_text()
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "old" not in text
     assert "net + fused (default)" in text
-    for content in ("no markers", f"{tables.BEGIN} {tables.BEGIN} {tables.END}"):
+    for content in ("no markers", f"{bench_table.BEGIN} {bench_table.BEGIN} {bench_table.END}"):
         page.write_text(content)
         with pytest.raises(InputError, match="once each"):
-            tables.split_at_markers(page)
+            bench_table.split_at_markers(page)
     with pytest.raises(InputError, match="cannot read"):
-        tables.split_at_markers(tmp_path / "none.md")
+        bench_table.split_at_markers(tmp_path / "none.md")
 
 
 def test_no_row_beats_a_row_of_the_pareto_front_in_time_and_error() -> None:

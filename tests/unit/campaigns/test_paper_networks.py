@@ -13,6 +13,7 @@ from command_line import slipguard
 
 from slipguard.errors import InputError, ModelError
 from slipguard.perception.contact.segmenter import Segmenter
+from tests.campaigns.command_line import run
 
 pytestmark = pytest.mark.extras("torch", "onnx", "segmentation_models_pytorch")
 
@@ -36,16 +37,14 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def trained(data_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of a trained PSPNet, net.onnx and net-int8.onnx."""
-    from slipguard.cli.app import run
-
     folder = tmp_path_factory.mktemp("trained")
     assert run([*words(data_set, folder), "--out", str(folder / "net.onnx"), "--int8"]) == 0
     return folder
 
 
 def words(data: Path, work: Path, epochs: int = 2) -> list[str]:
-    line = f"train --arch pspnet --recipe short --epochs {epochs} --batch 3 --threads 1 --data {data} --work {work}"
-    return line.split()
+    line = f"--recipe short --epochs {epochs} --batch 3 --threads 1 --data {data} --work {work}"
+    return ["train-paper-network", "pspnet", *line.split()]
 
 
 def test_the_command_writes_history_and_curves(trained: Path) -> None:
@@ -65,7 +64,7 @@ def test_the_product_runs_the_file(trained: Path) -> None:
     assert not segmenter.needs_background
     assert segmenter.metadata["slipguard_contract"] == "2"
     assert segmenter.metadata["label"] == "imported"
-    assert segmenter.metadata["command"].startswith("slipguard train --arch pspnet --recipe short --epochs 2")
+    assert " train-paper-network pspnet --recipe short --epochs 2" in segmenter.metadata["command"]
     image = np.random.default_rng(0).integers(0, 256, (320, 240, 3)).astype(np.uint8)
     estimate = segmenter.segment(image, None)
     assert estimate.shape == (160, 120)
@@ -87,7 +86,7 @@ def test_large_weights_are_stored_as_float16(trained: Path) -> None:
 def test_a_stopped_training_resumes(
     data_set: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from slipguard.training.paper import training
+    from tests.campaigns.paper_networks import training
 
     keep = training._save_checkpoint
 
@@ -97,24 +96,24 @@ def test_a_stopped_training_resumes(
 
     monkeypatch.setattr(training, "_save_checkpoint", keep_and_stop)
     again = [*words(data_set, tmp_path), "--out", str(tmp_path / "net.onnx")]
-    assert slipguard(capfd, *again).code == 1
+    assert slipguard(capfd, *again, run=run).code == 1
     assert not (tmp_path / "net.onnx").exists()
     monkeypatch.setattr(training, "_save_checkpoint", keep)
-    resumed = slipguard(capfd, *again)
+    resumed = slipguard(capfd, *again, run=run)
     assert resumed.code == 0, resumed.err
     assert "epoch 2:" in resumed.out
     assert "epoch 1:" not in resumed.out
     one, two = (Segmenter(folder / "net.onnx") for folder in (trained, tmp_path))
     image = np.full((320, 240, 3), 90, np.uint8)
     np.testing.assert_allclose(one.segment(image, None), two.segment(image, None), atol=1e-3)
-    other = slipguard(capfd, *words(data_set, tmp_path, epochs=5), "--out", str(tmp_path / "net.onnx"))
+    other = slipguard(capfd, *words(data_set, tmp_path, epochs=5), "--out", str(tmp_path / "net.onnx"), run=run)
     assert "holds a training with" in other.complaint
 
 
 def test_averages_over_unequal_cells_equal_those_of_torch() -> None:
     import torch
 
-    from slipguard.training.paper.networks import _cell_means
+    from tests.campaigns.paper_networks.networks import _cell_means
 
     x = torch.rand(2, 3, 20, 15)
     for cells in (1, 2, 3, 6):
@@ -128,8 +127,8 @@ def test_averages_over_unequal_cells_equal_those_of_torch() -> None:
 def test_the_larger_networks_return_masks_of_frame_size(arch: str, height: int, width: int) -> None:
     import torch
 
-    from slipguard.training.paper.networks import FrameNet
-    from slipguard.training.paper.recipe import Arch
+    from tests.campaigns.paper_networks.networks import FrameNet
+    from tests.campaigns.paper_networks.recipe import Arch
 
     net = FrameNet(Arch(arch), height, width).eval()
     with torch.no_grad():
@@ -141,9 +140,10 @@ def test_an_export_that_differs_or_is_not_finite_is_not_written(
     weight: float | None, allowed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from slipguard.training import onnx_export
-    from slipguard.training.paper.frames import MaskedFrames
-    from slipguard.training.paper.networks import FrameNet
-    from slipguard.training.paper.recipe import Arch
+    from tests.campaigns.paper_networks.export import export_paper
+    from tests.campaigns.paper_networks.frames import MaskedFrames
+    from tests.campaigns.paper_networks.networks import FrameNet
+    from tests.campaigns.paper_networks.recipe import Arch
 
     frames = MaskedFrames(np.zeros((1, 160, 120, 3), np.uint8), np.zeros((1, 160, 120), np.uint8))
     monkeypatch.setattr(onnx_export, "DIFFERENCE_MAX", allowed)
@@ -152,7 +152,7 @@ def test_an_export_that_differs_or_is_not_finite_is_not_written(
     if weight is not None:
         next(net.parameters()).data.fill_(weight)
     with pytest.raises(ModelError, match="not written"):
-        onnx_export.export_paper(net, tmp_path / "net.onnx", {}, frames)
+        export_paper(net, tmp_path / "net.onnx", {}, frames)
     assert (tmp_path / "net.onnx").read_text() == "as it was"
     assert [path.name for path in tmp_path.iterdir()] == ["net.onnx"]
 
@@ -160,8 +160,8 @@ def test_an_export_that_differs_or_is_not_finite_is_not_written(
 def test_an_encoder_starts_from_given_weights(tmp_path: Path) -> None:
     import torch
 
-    from slipguard.training.paper.networks import FrameNet
-    from slipguard.training.paper.recipe import Arch
+    from tests.campaigns.paper_networks.networks import FrameNet
+    from tests.campaigns.paper_networks.recipe import Arch
 
     source, target = FrameNet(Arch.pspnet, 160, 120), FrameNet(Arch.pspnet, 160, 120)
     state = source.net.encoder.state_dict() | {"fc.weight": torch.zeros(1), "fc.bias": torch.zeros(1)}
@@ -183,7 +183,7 @@ def test_an_encoder_starts_from_given_weights(tmp_path: Path) -> None:
 def test_focal_loss_is_cross_entropy_for_uncertain_pixels() -> None:
     import torch
 
-    from slipguard.training.paper.training import focal_loss
+    from tests.campaigns.paper_networks.training import focal_loss
 
     uncertain = focal_loss(torch.zeros(4), torch.tensor([0.0, 1.0, 0.0, 1.0]))
     assert float(uncertain) == pytest.approx(0.25 * np.log(2.0), rel=1e-5)
@@ -194,14 +194,12 @@ def test_focal_loss_is_cross_entropy_for_uncertain_pixels() -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("--recipe short", "for the paper's networks"),
-        ("--arch pspnet --validate somewhere", "for --arch small"),
-        ("--arch pspnet --data nowhere", "no data set"),
-        ("--arch pspnet --encoder-weights nowhere.pth", "cannot be read"),
+        ("pspnet --data nowhere", "no data set"),
+        ("pspnet --encoder-weights nowhere.pth", "cannot be read"),
     ],
 )
 def test_misuse_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], line: str, said: str) -> None:
-    ran = slipguard(capfd, "train", *line.split(), "--work", tmp_path)
+    ran = slipguard(capfd, "train-paper-network", *line.split(), "--work", tmp_path, run=run)
     assert ran.code == 2
     assert said in ran.complaint
 
@@ -209,7 +207,6 @@ def test_misuse_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], l
 def test_the_comparison_table_scores_a_network(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from slipguard.perception.contact.segmenter import Segmenter
     from tests.campaigns import network_table
-    from tests.campaigns.command_line import run as run_campaign
 
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, (320, 240, 3)).astype(np.uint8)
@@ -218,5 +215,5 @@ def test_the_comparison_table_scores_a_network(trained: Path, capsys: pytest.Cap
     (row,) = network_table.compare_networks([("net", Segmenter(trained / "net.onnx"))], frames)
     assert (row.name, row.frames, row.untouched) == ("net", 1, 1)
     assert 0.0 <= row.iou[0] <= row.dice[0] <= 1.0
-    assert run_campaign(["network-table", str(trained / "nowhere.onnx"), "--grasps", "1"]) == 2
+    assert run(["network-table", str(trained / "nowhere.onnx"), "--grasps", "1"]) == 2
     assert capsys.readouterr().err.startswith("slipguard: ")

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.cli.app import run
 from slipguard.errors import InputError
-from slipguard.evaluation.rotated_presses import PressImage, press_images, rotated_difference, rotated_grasp
 from slipguard.stress.textured_surfaces import LEVEL, LedLights, contact_map, heights, lettered, shaded_image
+from tests.campaigns.command_line import run
+from tests.campaigns.rotated_presses import PressImage, press_images, rotated_difference, rotated_grasp
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_a_grasp_is_the_same_for_one_seed_and_ends_without_contact(press: PressI
 
 
 def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", "rotated-presses", str(folder), "--json"]) == 0
+    assert run(["rotated-presses", str(folder), "--json"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(row["data"], row["way"], row["sequences"]) for row in rows] == [
         ("anytouch2_force2", "relit", 1),
@@ -84,9 +84,9 @@ def test_the_command_gives_both_ways(folder: Path, capsys: pytest.CaptureFixture
 
 
 def test_misuse_is_one_line(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["evaluate", "rotated-presses", str(tmp_path)]) == 2
+    assert run(["rotated-presses", str(tmp_path)]) == 2
     assert "neither taxim_sphere nor anytouch2_force2" in capsys.readouterr().err
-    assert run(["evaluate", "rotated-presses", str(folder), "--part", "most"]) == 2
+    assert run(["rotated-presses", str(folder), "--part", "most"]) == 2
     assert "there are tune, test, all" in capsys.readouterr().err
     (tmp_path / "taxim_sphere").mkdir()
     cv2.imwrite(str(tmp_path / "taxim_sphere" / "background.png"), np.full((320, 240, 3), (90, 100, 110), np.uint8))

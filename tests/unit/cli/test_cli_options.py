@@ -94,13 +94,6 @@ def test_bench_full_compares_further_networks(tmp_path: Path, monkeypatch: pytes
     assert [(one.quick, one.models) for one in requested] == [(False, tmp_path), (True, None)]
 
 
-def test_bench_does_not_write_to_a_file_without_markers(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "page.md").write_text("no markers\n")
-    assert run(["bench", "--quick", "--table", str(tmp_path / "page.md")]) == 2
-    assert "page.md" in capfd.readouterr().err
-    assert (tmp_path / "page.md").read_text() == "no markers\n"
-
-
 @pytest.mark.parametrize(
     "words", [("dataset", "render", "--count", "2", "--cluster"), ("bench", "--grip", "--full", "--cluster")]
 )

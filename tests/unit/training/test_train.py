@@ -3,11 +3,14 @@
 import importlib.util
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from command_line import slipguard
 
 from slipguard.cli.train import train as train_command
 from slipguard.errors import InputError
+from slipguard.perception.contact.segmenter import Segmenter
 
 needs_torch = pytest.mark.extras("torch", "onnx")
 
@@ -23,9 +26,8 @@ def test_without_torch_the_error_says_how_to_install_it(monkeypatch: pytest.Monk
 def test_a_stopped_training_resumes_and_its_export_fulfills_the_contract(tmp_path: Path) -> None:
     import torch
 
-    from slipguard.datasets.frame_cache import RenderedFrames
-    from slipguard.perception.contact.segmenter import Segmenter
-    from slipguard.training.onnx_export import export_small, small_metadata
+    from slipguard.datasets.frame_cache import TrainingFrames
+    from slipguard.training.onnx_export import export_small, model_metadata
     from slipguard.training.small_network import SmallNet
     from slipguard.training.train import EpochFigures, TrainSettings, train
 
@@ -33,7 +35,7 @@ def test_a_stopped_training_resumes_and_its_export_fulfills_the_contract(tmp_pat
     background = rng.integers(40, 90, (8, 160, 120, 3), np.uint8)
     label = np.zeros((8, 160, 120), np.uint8)
     label[:, 40:90, 30:80] = 255
-    frames = RenderedFrames(background + (label[..., None] // 5), background, label)
+    frames = TrainingFrames(background + (label[..., None] // 5), background, label)
     settings = TrainSettings(epochs=3, batch=4, threads=1, patterns=6)
 
     class Stopped(Exception):
@@ -60,11 +62,32 @@ def test_a_stopped_training_resumes_and_its_export_fulfills_the_contract(tmp_pat
         torch.testing.assert_close(one, other)
 
     path = tmp_path / "small.onnx"
-    assert export_small(resumed, path, small_metadata("slipguard train", 0, 0.4), frames) <= 1e-4
+    assert export_small(resumed, path, model_metadata("slipguard train", 0, 0.4), frames) <= 1e-4
     assert Segmenter(path).threshold == 0.4
     weights = sum(part.numel() for part in resumed.parameters())
     assert path.stat().st_size < 2.2 * weights, "large weights take two bytes in the file"
     assert not list(tmp_path.glob("*.draft.onnx"))
+
+
+@needs_torch
+def test_the_command_trains_on_a_data_set(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "discs"
+    for kind in ("images", "masks"):
+        (data / kind).mkdir(parents=True)
+    for index in range(6):
+        mask = np.zeros((320, 240), np.uint8)
+        cv2.circle(mask, (60 + 20 * index, 160), 50, (255,), -1)
+        cv2.imwrite(str(data / "images" / f"{index}.png"), np.dstack([mask // 2 + np.uint8(40)] * 3))
+        cv2.imwrite(str(data / "masks" / f"{index}.png"), mask)
+    path = tmp_path / "net.onnx"
+    line = f"train --data {data} --validate {data} --out {path} --work {tmp_path} --epochs 1 --batch 4 --threads 1"
+    ran = slipguard(capfd, *line.split())
+    assert ran.code == 0, ran.err
+    assert "epoch 1:" in ran.out
+    segmenter = Segmenter(path)
+    assert segmenter.metadata["label"] == "imported"
+    assert segmenter.metadata["command"].startswith("slipguard train --data (5 frames)")
+    assert "no data set" in slipguard(capfd, "train", "--data", tmp_path / "nowhere").complaint
 
 
 @needs_torch
