@@ -262,13 +262,19 @@ class Lane:
 
 
 def agree(state: GripperState, truth: Truth) -> bool:
-    """Whether a state is what the gripper was like; `holding` may be said of jaws halted on their way, never denied."""
+    """Whether a state is what the gripper was like.
+
+    `holding` may be said of jaws halted on their way, and denied only of jaws that are said to move. `moving` may be
+    said until gOBJ belongs to the newest command.
+    """
     view = truth.view
     if state.active != truth.ready or abs(state.width_mm - view.width_mm) > STEP_MM:
         return False
-    if truth.ready and state.moving != (truth.going and view.moving):
+    if truth.ready and truth.going and view.moving and not state.moving:
         return False
-    if truth.ready and not view.moving and view.holds and not state.holding:
+    if state.moving and not truth.going:
+        return False
+    if truth.ready and not view.moving and view.holds and not (state.holding or state.moving):
         return False
     if state.holding and not view.holds and truth.going:
         return False

@@ -78,10 +78,44 @@ def test_a_new_force_at_rest_does_nothing_and_stop_then_go_tightens(bench: Bench
     bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
     assert bench.force_n == pytest.approx(20.0)
     bench.write(0x0100, 0xFF, 0xFFFF)
-    assert bench.flags == 0xB1
+    assert bench.flags & 0x3F == 0x31
     bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
     assert bench.force_n == pytest.approx(235.0)
     assert "released" not in bench.events
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.19])
+def test_gobj_keeps_its_former_value_for_a_while_after_a_go(bench: Bench, lag_s: float) -> None:
+    bench.write(0x0900, 0, 0xFF00, after_s=0.5)
+    assert bench.flags >> 6 == 3
+    bench.registers.draw_lag_s = lambda: lag_s
+    bench.write(0x0900, 0xFF, 0xFF00, after_s=0.0)
+    seen = []
+    for _ in range(100):
+        bench.wait(0.005)
+        seen.append(bench.flags >> 6)
+    assert bench.registers.read(bench.now_s)[1] & 0xFF == 0xFF
+    assert seen.count(3) == pytest.approx(lag_s / 0.005, abs=1)
+    assert set(seen[seen.count(3) :]) == {0}
+
+
+def test_the_lag_differs_from_go_to_go_and_repeats_with_the_seed(bench: Bench) -> None:
+    lags_s = [bench.registers.draw_lag_s() for _ in range(100)]
+    assert min(lags_s) < 0.02
+    assert 0.18 < max(lags_s) <= 0.2
+    again, once_more = Bench().registers, Bench().registers
+    assert [again.draw_lag_s() for _ in range(5)] == [once_more.draw_lag_s() for _ in range(5)]
+
+
+def test_gobj_means_nothing_while_rgto_is_0(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    seen = set()
+    for _ in range(40):
+        bench.write(0x0900, 0xFF, 0xFF00, after_s=1.0)
+        assert bench.flags == 0xB9
+        bench.write(0x0100, 0xFF, 0xFF00)
+        seen.add(bench.flags >> 6)
+    assert seen == {0, 1, 2, 3}
 
 
 def test_a_stop_and_a_go_within_one_cycle_are_no_stop(bench: Bench) -> None:

@@ -87,6 +87,52 @@ async def test_closing_the_connection_does_not_wait_for_an_activation(tmp_path: 
     await emulator.stop()
 
 
+@pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.1, 0.2])
+@pytest.mark.parametrize("object_mm", [None, 41.2])
+async def test_a_late_gobj_is_neither_a_grip_nor_closed_on_nothing(
+    emulator: RobotiqEmulator, gripper: RobotiqGripper, lag_s: float, object_mm: float | None
+) -> None:
+    """With gOBJ 16 ms late, open jaws that had just begun to close were reported as closed on nothing."""
+    emulator.registers.draw_lag_s = lambda: lag_s
+    await gripper.release(85.0)
+    await until_it_rests(gripper)
+    put(emulator, object_mm)
+    await gripper.hold(40.0)
+    while (state := await gripper.state()).moving:
+        assert (state.holding, state.closed_on_nothing) == (False, False)
+    assert (state.holding, state.closed_on_nothing) == (object_mm is not None, object_mm is None)
+    assert state.width_mm == pytest.approx(object_mm or 0.0, abs=0.4)
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.1, 0.2])
+async def test_a_late_gobj_neither_ends_a_tightening_nor_prolongs_a_release(
+    emulator: RobotiqEmulator, held: RobotiqGripper, lag_s: float
+) -> None:
+    emulator.registers.draw_lag_s = lambda: lag_s
+    await held.hold(200.0)
+    while (state := await held.state()).moving:
+        assert state.holding
+    assert state.holding
+    assert emulator.state()["force_n"] == pytest.approx(200.4, abs=0.5)
+    await held.release(85.0)
+    while (state := await held.state()).moving:
+        assert not state.holding
+    assert not state.holding
+    assert state.width_mm == pytest.approx(85.0, abs=0.4)
+
+
+async def test_fingers_halted_before_gobj_shows_their_motion_stop(
+    emulator: RobotiqEmulator, gripper: RobotiqGripper
+) -> None:
+    emulator.registers.draw_lag_s = lambda: 0.2
+    put(emulator, 41.2)
+    await gripper.hold(60.0)
+    await gripper.halt()
+    assert words_written(emulator)[-1].startswith("0100 00FF")
+    assert not (await gripper.state()).moving
+    assert not emulator.state()["moving"]
+
+
 async def test_a_release_clears_a_fault(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
     emulator.control("gflt 0x0E")
     assert (await gripper.state()).fault == "overcurrent"

@@ -24,7 +24,8 @@ from slipguard.diagnosis import CheckResult
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
 from slipguard_drivers.robotiq.modbus import ModbusConnection
-from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, FingerMotion, RobotiqStatus
+from slipguard_drivers.robotiq.object_detection import ObjectDetection
+from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, RobotiqStatus
 
 T = TypeVar("T")
 log = structlog.get_logger()
@@ -33,8 +34,6 @@ CALL_TIMEOUTS = 8
 """A call takes at most this many response time-outs (0.4 s), unless it activates the gripper."""
 ECHO_READS = 5
 """Status reads until a command must be visible in the status: 5 x 5 ms; the gripper's cycle is 5 ms."""
-YIELD_COUNTS = 3
-"""Fingers that press an object move by at most this much while the force rises (1.1 mm on a 2F-85)."""
 RELEASE_COUNTS_MIN = 15
 """A release opens at least this far (5.6 mm on a 2F-85), even if a smaller width is requested."""
 ACTIVATION_TIMEOUT_S = 10.0
@@ -75,8 +74,7 @@ class RobotiqGripper(Gripper):
         self._closing_down = False
         self._applied: int | None = None
         """Force count of the grip; None if the fingers are open, or if another program closed them."""
-        self._gripped_at: int | None = None
-        """Position at which an object was held; None if none is held."""
+        self._jaws = ObjectDetection(self._model)
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
@@ -87,7 +85,7 @@ class RobotiqGripper(Gripper):
         """Connect and read the status. A gripper that is not activated stays so until `activate`."""
         self._closing_down = False
         if not self._modbus.connected:
-            self._applied = self._gripped_at = None  # another program may have changed the grip meanwhile
+            self._forget_grip()  # another program may have changed it meanwhile
             await self._modbus.connect()
             if slow := serial_port.slow_adapter(self._port):
                 log.warning(f"{self._name}: {slow}")
@@ -102,9 +100,9 @@ class RobotiqGripper(Gripper):
         status = await self._complete(self._status(self._deadline_s()))
         return GripperState(
             active=status.ready,
-            moving=status.going and status.motion is FingerMotion.MOVING,
-            holding=self._holds(status),
-            closed_on_nothing=status.closed_on_nothing,
+            moving=self._jaws.moving,
+            holding=self._jaws.holding,
+            closed_on_nothing=self._jaws.closed_on_nothing,
             width_mm=registers.count_to_width(status.position, self._model),
             force_n=self._force_n(status),
             fault=status.fault,
@@ -182,15 +180,16 @@ class RobotiqGripper(Gripper):
         async with self._exclusive(deadline_s):
             status = await self._ready_status(deadline_s)
             closing = status.going and status.position_echo == CLOSED_COUNT
-            gripping = status.may_hold or (closing and status.motion is FingerMotion.MOVING)
+            holding, moving = self._jaws.holding, self._jaws.moving
+            gripping = holding or (closing and moving)
             if gripping and self._applied is not None:
                 if force <= self._applied and closing:
                     return registers.count_to_force(self._applied, self._model)
                 force = max(force, self._applied)
-            if not status.may_hold or status.motion is FingerMotion.MOVING:
+            if not holding or moving:
                 self._applied = None  # there was no grip, or the stop below interrupts it
-            speed = registers.FULL_SPEED if self._gripped_at is not None else self._approach_speed
-            if status.may_hold or closing:
+            speed = registers.FULL_SPEED if self._jaws.gripped_at is not None else self._approach_speed
+            if holding or closing:
                 await self._write(deadline_s, go=False, position=CLOSED_COUNT, speed=speed, force=force)
                 await self._expect(deadline_s, CLOSED_COUNT, going=False)
             await self._write(deadline_s, go=True, position=CLOSED_COUNT, speed=speed, force=force)
@@ -201,9 +200,10 @@ class RobotiqGripper(Gripper):
     async def _move(self, position: int, force: int, deadline_s: float) -> float:
         async with self._exclusive(deadline_s):
             status = await self._ready_status(deadline_s)
-            if self._holds(status):
+            if self._jaws.holding:
                 raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
-            if status.closing and position < status.position_echo:
+            closing = self._jaws.moving and status.position_echo > status.position
+            if closing and position < status.position_echo:
                 raise CommandRefused(
                     f"{self._name}: the fingers are closing and may hold an object; try again when they are at rest"
                 )
@@ -217,7 +217,7 @@ class RobotiqGripper(Gripper):
         """Clear rGTO and keep the goal, so that the status still shows that the fingers were closing."""
         async with self._exclusive(deadline_s):
             status = await self._status(deadline_s)
-            if not (status.ready and status.going and status.motion is FingerMotion.MOVING):
+            if not self._jaws.moving:
                 return
             position, self._applied = status.position_echo, None
             await self._write(deadline_s, go=False, position=position, speed=self._approach_speed, force=0)
@@ -230,7 +230,7 @@ class RobotiqGripper(Gripper):
                 status = await self._activate(deadline_s)
                 deadline_s = self._deadline_s()
             position = max(0, min(position, status.position - RELEASE_COUNTS_MIN))
-            self._applied = self._gripped_at = None
+            self._applied = None
             await self._write(deadline_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
             await self._expect(deadline_s, position, going=True)
 
@@ -239,7 +239,7 @@ class RobotiqGripper(Gripper):
             status = await self._status(deadline_s)
             if status.ready and status.fault is None:
                 raise CommandRefused(f"{self._name}: the gripper is already activated")
-            if self._holds(status):
+            if self._jaws.holding:
                 raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
             await self._activate(deadline_s)
 
@@ -270,12 +270,13 @@ class RobotiqGripper(Gripper):
         words = await self._modbus.read(registers.INPUT_ADDRESS, registers.REGISTERS, deadline_s)
         status = registers.decode(words)
         if not status.ready:
-            self._applied = self._gripped_at = None  # it lost power, or another program has reset it
-        elif status.motion is FingerMotion.STOPPED_CLOSING:
-            self._gripped_at = status.position
-        elif not self._holds(status):
-            self._gripped_at = None
+            self._forget_grip()  # it lost power, or another program has reset it
+        self._jaws.update(status, asyncio.get_running_loop().time())
         return status
+
+    def _forget_grip(self) -> None:
+        self._applied = None
+        self._jaws.forget()
 
     async def _ready_status(self, deadline_s: float) -> RobotiqStatus:
         status = await self._status(deadline_s)
@@ -301,14 +302,8 @@ class RobotiqGripper(Gripper):
             f"instead of {wanted}, position {position}; check whether another program commands it"
         )
 
-    def _holds(self, status: RobotiqStatus) -> bool:
-        """Return whether an object is held, also while the force on it rises."""
-        if status.may_hold or self._gripped_at is None:
-            return status.may_hold
-        return status.closing and abs(status.position - self._gripped_at) <= YIELD_COUNTS
-
     def _force_n(self, status: RobotiqStatus) -> float:
         """Return the force applied; a completed grip has at least the lowest force."""
-        if self._applied is not None and (self._holds(status) or status.position_echo == CLOSED_COUNT):
+        if self._applied is not None and (self._jaws.holding or status.position_echo == CLOSED_COUNT):
             return registers.count_to_force(self._applied, self._model)
-        return self._model.force_min_n if status.motion is FingerMotion.STOPPED_CLOSING and status.ready else 0.0
+        return self._model.force_min_n if self._jaws.gripped_at is not None else 0.0

@@ -22,6 +22,8 @@ REGISTERS = 3
 CLOSED_COUNT = 255
 FULL_SPEED = 255
 CURRENT_A_PER_COUNT = 0.010
+CLOSED_WITHIN_MM = 2.0
+"""Fingers that are this close together have closed on nothing, if gOBJ reports no object."""
 
 FAULTS = {
     0x00: None,
@@ -63,7 +65,7 @@ MODELS = {model.name: model for model in (MODEL_2F85, MODEL_2F140)}
 
 
 class FingerMotion(IntEnum):
-    """gOBJ: motion of the fingers."""
+    """gOBJ: motion of the fingers. It lags, and means nothing while gGTO is 0; see `object_detection`."""
 
     MOVING = 0
     STOPPED_OPENING = 1
@@ -85,21 +87,10 @@ class RobotiqStatus:
     current_a: float
 
     @property
-    def may_hold(self) -> bool:
-        """Whether an object may be held: the fingers stopped on it, or were halted while closing."""
-        halted = not self.going and self.position_echo == CLOSED_COUNT and self.motion is not FingerMotion.AT_POSITION
-        return self.ready and (self.motion is FingerMotion.STOPPED_CLOSING or halted)
-
-    @property
-    def closing(self) -> bool:
-        """Whether the fingers move inward or tighten: they may just have reached an object."""
-        inwards = self.position_echo > self.position
-        return self.ready and self.going and self.motion is FingerMotion.MOVING and inwards
-
-    @property
-    def closed_on_nothing(self) -> bool:
-        """Whether the fingers closed fully without reaching an object."""
-        return self.ready and self.motion is FingerMotion.AT_POSITION and self.position_echo == CLOSED_COUNT
+    def stopped_on_object(self) -> bool:
+        """Whether gOBJ says that an object stopped the closing fingers; see `object_detection` for when to trust it."""
+        stopped = self.motion is FingerMotion.STOPPED_CLOSING and self.position_echo > self.position
+        return self.ready and self.going and stopped
 
     @property
     def fault(self) -> str | None:
@@ -167,6 +158,11 @@ def count_to_width(count: int, model: RobotiqModel) -> float:
     """Return the width in mm at a position count; 0 if the fingers touch."""
     width_mm = model.stroke_mm - (count - model.open_count) * model.mm_per_count
     return min(model.stroke_mm, max(0.0, width_mm))
+
+
+def nothing_between(width_mm: float) -> bool:
+    """Return whether fingers at this width are closed: no object that is thicker can be between them."""
+    return width_mm <= CLOSED_WITHIN_MM
 
 
 def limits(model: RobotiqModel) -> str:

@@ -83,7 +83,7 @@ class RobotiqEmulator(ControlledEmulator):
         self.settings = settings
         figures = FIGURES[settings.model]
         self.jaws = jaws if jaws is not None else SimpleJaws(figures.stroke_mm, settings.object_width_mm)
-        self.registers = GripperRegisters(self.jaws, figures, self.note, settings.quick)
+        self.registers = GripperRegisters(self.jaws, figures, self.note, settings.quick, settings.seed)
         self.requests = 0
         """Number of requests received."""
         self._rng = random.Random(settings.seed + 1)

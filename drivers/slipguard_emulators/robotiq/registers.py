@@ -2,12 +2,14 @@
 
 It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, so an object falls. A
 new force acts only while the motor runs: at rest, only a stop and then a go start it. Written registers take effect
-once per cycle, so a stop and a go within one cycle have no effect.
+once per cycle, so a stop and a go within one cycle have no effect. gOBJ keeps its former value for a time after a go,
+and while rGTO is 0 it has an arbitrary value, for the manual says to ignore it then.
 """
 
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -18,6 +20,8 @@ OUTPUTS = range(0x03E8, 0x03EB)
 INPUTS = range(0x07D0, 0x07D3)
 CYCLE_S = 0.005
 """The manual: 200 Hz is the usual speed."""
+OBJECT_LAG_MAX_S = 0.2
+"""From a go to the gOBJ that belongs to it; Robotiq's SDK waits this long for motion."""
 SILENT_S = 1.0
 """After this time without a request, fault 0x09 is reported."""
 RACT, RGTO, RATR, RARD = 0x01, 0x08, 0x10, 0x20
@@ -53,10 +57,14 @@ class ActivationStage(Enum):
 class GripperRegisters:
     """The registers and the controller behind them.
 
-    note(event, **details): called with every event. quick: speed of the motion relative to a real gripper.
+    note(event, **details): called with every event. quick: speed of the motion relative to a real gripper. seed: of the
+    lags of gOBJ.
     """
 
-    def __init__(self, jaws: JawsPlant, figures: GripperFigures, note: Callable[..., None], quick: float = 1.0) -> None:
+    def __init__(
+        self, jaws: JawsPlant, figures: GripperFigures, note: Callable[..., None], quick: float = 1.0, seed: int = 0
+    ) -> None:
+        rng = random.Random(seed)
         self.jaws = jaws
         self.figures = figures
         self.fault = 0
@@ -64,6 +72,15 @@ class GripperRegisters:
         self.stage = ActivationStage.OFF
         self.activations = 0
         self.outputs = [0, 0, 0]
+        self.draw_lag_s: Callable[[], float] = lambda: rng.uniform(0.0, OBJECT_LAG_MAX_S)
+        """Draws the lag of gOBJ, for each go."""
+        self._draw_object: Callable[[], int] = lambda: rng.randrange(4)
+        self._former_object = 0
+        """gOBJ before the newest go or stop."""
+        self._ignored_object = 0
+        """gOBJ while rGTO is 0."""
+        self._object_due_s = 0.0
+        """From then on gOBJ belongs to the newest go."""
         self._note = note
         self._quick = quick
         self._written: tuple[float, list[int]] | None = None
@@ -86,7 +103,7 @@ class GripperRegisters:
         action = self.outputs[0] >> 8
         on = bool(action & RACT)
         state = {ActivationStage.OFF: 0, ActivationStage.READY: 3}.get(self.stage, 1)
-        flags = on | bool(action & RGTO) << 3 | state << 4 | self._object(view) << 6
+        flags = on | bool(action & RGTO) << 3 | state << 4 | self._object(now_s, view) << 6
         current = 30 if view.moving else 0
         echo = self.outputs[1] & 0xFF
         return [flags << 8, self._fault_code(now_s) << 8 | echo, self._count(view.width_mm) << 8 | current]
@@ -122,8 +139,13 @@ class GripperRegisters:
         )
 
     def _apply(self, now_s: float, values: list[int]) -> None:
+        former_object = self._object(now_s, self.jaws.state_at(now_s))
         old, self.outputs = self.outputs, values
         was, action = old[0] >> 8, values[0] >> 8
+        if was & RGTO:
+            self._former_object = former_object
+        if was & RGTO and not action & RGTO:
+            self._ignored_object = self._draw_object()
         if was & RACT and not action & RACT:
             self._note("rACT cleared", held=self.jaws.state_at(now_s).holds)
             self.jaws.halt(now_s)
@@ -165,6 +187,7 @@ class GripperRegisters:
             return
         moving = self.jaws.state_at(now_s).moving
         if not was & RGTO or old[1] & 0xFF != new[1] & 0xFF or (moving and old[2] != new[2]):
+            self._object_due_s = now_s + self.draw_lag_s()
             self._drive(now_s, new[1] & 0xFF, new[2] >> 8, new[2] & 0xFF)
 
     def _drive(self, now_s: float, position: int, speed: int, force: int) -> None:
@@ -179,9 +202,15 @@ class GripperRegisters:
         self._note("drive", width_mm=round(width_mm, 2), force_n=round(force_n, 2))
         self.jaws.drive(now_s, width_mm, speed_mm_s, force_n)
 
-    def _object(self, view: JawsState) -> int:
+    def _object(self, now_s: float, view: JawsState) -> int:
         """gOBJ."""
-        if self.stage is not ActivationStage.READY or view.moving:
+        if self.stage is not ActivationStage.READY:
+            return 0
+        if not self.outputs[0] >> 8 & RGTO:
+            return self._ignored_object
+        if now_s < self._object_due_s:
+            return self._former_object
+        if view.moving:
             return 0
         if view.met_closing:
             return 2

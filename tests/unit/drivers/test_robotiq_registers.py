@@ -22,6 +22,7 @@ from slipguard_drivers.robotiq.registers import (
     decode,
     encode,
     force_to_count,
+    nothing_between,
     width_to_count,
 )
 
@@ -51,30 +52,24 @@ def test_the_manuals_status_of_a_grasp() -> None:
     assert status.ready
     assert status.going
     assert status.motion is FingerMotion.STOPPED_CLOSING
-    assert status.may_hold
-    assert not status.closed_on_nothing
+    assert status.stopped_on_object
     assert status.fault is None
     assert (status.position_echo, status.position, status.current_a) == (255, 189, 0.0)
 
 
 @pytest.mark.parametrize(
-    ("flags", "echo", "position", "holds", "nothing"),
+    ("flags", "echo", "position", "stopped"),
     [
-        (0xB9, 255, 189, True, False),  # stopped on an object
-        (0xB1, 255, 189, True, False),  # the same, halted between stop and go
-        (0x31, 255, 120, True, False),  # halted on the way to it: who knows
-        (0x39, 255, 120, False, False),  # still closing
-        (0xF9, 255, 230, False, True),  # closed on nothing
-        (0xF9, 0, 3, False, False),  # open
-        (0x79, 0, 100, False, False),  # stopped while opening
-        (0x11, 255, 189, False, False),  # not activated
+        (0xB9, 255, 189, True),
+        (0xB1, 255, 189, False),  # gGTO is 0: gOBJ means nothing
+        (0xB9, 0, 189, False),  # gOBJ is from before this opening
+        (0x39, 255, 120, False),  # still closing
+        (0xF9, 255, 230, False),
+        (0x91, 255, 189, False),  # not activated
     ],
 )
-def test_states_in_which_an_object_may_be_held(
-    flags: int, echo: int, position: int, holds: bool, nothing: bool
-) -> None:
-    status = decode([flags << 8, echo, position << 8])
-    assert (status.may_hold, status.closed_on_nothing) == (holds, nothing)
+def test_when_gobj_says_that_an_object_is_held(flags: int, echo: int, position: int, stopped: bool) -> None:
+    assert decode([flags << 8, echo, position << 8]).stopped_on_object is stopped
 
 
 @pytest.mark.parametrize(
@@ -160,3 +155,9 @@ def test_a_width_beyond_the_stroke_is_fully_open() -> None:
     assert width_to_count(100.0, MODEL_2F140) > 3
     with pytest.raises(CommandRefused, match="0 to 140"):
         width_to_count(-0.1, MODEL_2F140)
+
+
+def test_fingers_are_closed_within_two_millimeters() -> None:
+    assert [nothing_between(count_to_width(count, MODEL_2F85)) for count in (255, 230, 225, 224, 3)] == [
+        True, True, True, False, False,
+    ]  # fmt: skip

@@ -1,0 +1,96 @@
+"""Decide from successive statuses whether the fingers hold an object, have closed on nothing, or may still move.
+
+gOBJ alone does not say it. After a command it may keep its former value for up to 200 ms, although the gripper has
+accepted the command already (it echoes the position), and it means nothing while gGTO is 0. So gOBJ counts only after
+it has shown motion since the command, or after these 200 ms. Until then the fingers count as moving, and what was held
+before counts as held. Source: Robotiq 2F-85/2F-140 instruction manual (gOBJ, gGTO) and Robotiq's C++ SDK (the lag).
+"""
+
+from __future__ import annotations
+
+from slipguard_drivers.robotiq.registers import (
+    CLOSED_COUNT,
+    FingerMotion,
+    RobotiqModel,
+    RobotiqStatus,
+    count_to_width,
+    nothing_between,
+)
+
+OBJECT_LAG_S = 0.2
+"""Longest time from an accepted command to the gOBJ that belongs to it."""
+YIELD_COUNTS = 3
+"""Fingers that press an object move by at most this much while the force rises (1.1 mm on a 2F-85)."""
+
+
+class ObjectDetection:
+    """What the statuses since the connection was opened say together."""
+
+    def __init__(self, model: RobotiqModel) -> None:
+        self._model = model
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget everything: the connection is new, or the gripper was reset."""
+        self.moving = False
+        """Whether the fingers move, or may be about to."""
+        self.holding = False
+        """Whether an object is held, also while the force on it rises, or may be held by halted fingers."""
+        self.closed_on_nothing = False
+        self.gripped_at: int | None = None
+        """Position at which an object was held; None if none is known to be."""
+        self._newest: RobotiqStatus | None = None
+        self._motion: FingerMotion | None = None
+        """gOBJ in the newest status with gGTO set."""
+        self._was_moving = False
+        """Whether the fingers were moving when the present command was accepted."""
+        self._decided = False
+        self._decided_at_s = 0.0
+        """When gOBJ certainly belongs to the present command."""
+
+    def update(self, status: RobotiqStatus, now_s: float) -> None:
+        """Use one more status."""
+        if not status.ready:
+            self.forget()
+            return
+        if status.going:
+            self._follow_command(status, now_s)
+        self.moving = status.going and self._may_move(status)
+        self.holding = self._may_hold(status)
+        self.closed_on_nothing = not self.moving and not self.holding and self._is_closed(status)
+        if not self.holding:
+            self.gripped_at = None
+        elif status.stopped_on_object and (self._decided or self._newest is None):
+            self.gripped_at = status.position
+        self._newest = status
+
+    def _follow_command(self, status: RobotiqStatus, now_s: float) -> None:
+        """Find out whether gOBJ belongs to the present command."""
+        newest = self._newest
+        if newest is None or not newest.going or newest.position_echo != status.position_echo:
+            self._decided, self._decided_at_s = False, now_s + OBJECT_LAG_S
+            self._was_moving = self._motion is FingerMotion.MOVING
+        seen = status.motion is FingerMotion.MOVING and not self._was_moving
+        self._decided = self._decided or seen or now_s >= self._decided_at_s
+        self._motion = status.motion
+
+    def _may_move(self, status: RobotiqStatus) -> bool:
+        if not self._decided or status.motion is FingerMotion.MOVING:
+            return True
+        arrived_early = status.motion is FingerMotion.AT_POSITION and status.position_echo == CLOSED_COUNT
+        return arrived_early and not self._is_closed(status)  # they lost an object and go on closing
+
+    def _may_hold(self, status: RobotiqStatus) -> bool:
+        inward = status.position_echo > status.position
+        known = self.gripped_at is not None and abs(status.position - self.gripped_at) <= YIELD_COUNTS
+        if not status.going:
+            return inward and (known or not self._is_closed(status))
+        meaningful = self._decided or self._newest is None
+        if meaningful and status.motion is not FingerMotion.MOVING:
+            return status.stopped_on_object
+        return inward and known
+
+    def _is_closed(self, status: RobotiqStatus) -> bool:
+        """Return whether the fingers were to close fully, and have."""
+        closing = status.position_echo == CLOSED_COUNT
+        return closing and nothing_between(count_to_width(status.position, self._model))
