@@ -15,6 +15,9 @@ from slipguard.control.slip_response import SlipResponse, respond_to_slip
 from slipguard.control.state import Adoption, GraspState, Phase
 from slipguard.devices import GripperState
 
+NOTHING_S = 0.1
+"""A gripper that reports this long that it has closed on nothing has; one report may be out of date."""
+
 
 def act(state: GraspState, observation: Observation, params: GuardParams) -> Result:
     """Return the state and output of the present phase."""
@@ -61,8 +64,12 @@ def _closing(state: GraspState, observation: Observation, params: GuardParams) -
             state = state.entered(Phase.REFERENCE, now_s)
             state = replace(state, grip=replace(state.grip, closed=True))
             return state, StepOutput(new_reference=True, messages=(Text.GRIPPED.message(),))
-        if gripper.closed_on_nothing:
+        state = _follow_nothing(state, gripper)
+        since_s = state.grip.nothing_since_s
+        if since_s is not None and gripper.measured_at_s - since_s >= NOTHING_S:
             return state.emptied(Phase.IDLE, now_s), StepOutput(messages=(Text.CLOSED_ON_NOTHING.message(),))
+        if since_s is not None:
+            return state, StepOutput()
     timeout_s = params.tuning.closing_timeout_s
     if now_s - state.since_s > timeout_s:
         fault = Fault(
@@ -72,6 +79,15 @@ def _closing(state: GraspState, observation: Observation, params: GuardParams) -
         )
         return latch(state, observation, fault, StepOutput())
     return state, StepOutput()
+
+
+def _follow_nothing(state: GraspState, gripper: GripperState) -> GraspState:
+    """Follow since when the gripper reports at rest that it has closed on nothing."""
+    since_s = state.grip.nothing_since_s
+    nothing = gripper.closed_on_nothing and not gripper.moving
+    if nothing == (since_s is not None):
+        return state
+    return replace(state, grip=replace(state.grip, nothing_since_s=gripper.measured_at_s if nothing else None))
 
 
 def _reference(state: GraspState, observation: Observation, params: GuardParams) -> Result:

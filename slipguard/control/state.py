@@ -74,12 +74,14 @@ class Grip:
         commanded_s: when the gripper was last commanded; -inf: not since the grip was taken over, or, in RELEASED,
             the jaws have not been commanded to open yet.
         closed: the jaws have met an object since they closed.
+        nothing_since_s: since when the gripper reports that it has closed on nothing; None: it does not.
         delay: of the gripper.
     """
 
     target_n: float = 0.0
     commanded_s: float = -math.inf
     closed: bool = False
+    nothing_since_s: float | None = None
     delay: GripperDelay = field(default_factory=GripperDelay)
 
 

@@ -1,7 +1,7 @@
 """What the controller commands, reports and enters: every phase, every request and everything that can go wrong.
 
-`python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line; review the diff before
-you commit them. Slip detection and the response to it have tests of their own.
+`PYTHONPATH=tests/unit python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line;
+review the diff before you commit them. Slip detection and the response to it have tests of their own.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from records import changed, released_mm
 from slipguard.control.control_step import step
 from slipguard.control.messages import LiftArm, RequestKind
 from slipguard.control.params import GuardParams
+from slipguard.control.phases import NOTHING_S
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 
@@ -61,7 +62,8 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     play = Play()
     play.step(RequestKind.GRASP)
     play.jaws = gripper(40.0, holding=False, nothing=True, width_mm=0.0)
-    assert play.step().text == "the gripper closed on nothing"
+    said = [command.text for command in play.steps(NOTHING_S + 0.04)]
+    assert said.count("the gripper closed on nothing") == 1
     assert play.grasp.phase is Phase.IDLE
     play.jaws = gripper(40.0, holding=False, moving=True)
     play.step(RequestKind.GRASP)
@@ -69,6 +71,23 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     play.steps(5.2)
     assert play.grasp.fault is not None
     assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
+
+
+def test_one_report_of_closed_on_nothing_does_not_end_a_closing() -> None:
+    """It may be from before the command: the jaws would go on to grip the object unguarded."""
+    play = Play()
+    play.step(RequestKind.GRASP)
+    closing, nothing = (gripper(40.0, holding=False, moving=moving, nothing=not moving) for moving in (True, False))
+    for _ in range(3):
+        play.jaws = nothing
+        play.steps(NOTHING_S - 0.02)
+        play.jaws = closing
+        play.step()
+    play.jaws = changed(nothing, moving=True)
+    play.steps(2 * NOTHING_S)
+    play.jaws = gripper(40.0)
+    play.step()
+    assert play.grasp.phase is Phase.REFERENCE
 
 
 @pytest.mark.parametrize(

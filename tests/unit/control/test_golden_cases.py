@@ -13,8 +13,8 @@ def test_every_case_is_as_in_the_golden_file(phase: Phase) -> None:
     kept = (FOLDER / f"{phase}.txt").read_text(encoding="utf-8").splitlines()
     different = [f"- {old}\n+ {new}" for old, new in zip(kept, cases(phase), strict=True) if old != new]
     assert not different, (
-        "the controller has changed; if intended, run python tests/unit/control/golden_cases.py and review the diff:\n"
-        + "\n".join(different[:20])
+        "the controller has changed; if intended: `PYTHONPATH=tests/unit python tests/unit/control/golden_cases.py` "
+        "and review the diff:\n" + "\n".join(different[:20])
     )
 
 

@@ -68,7 +68,7 @@ slip down      | -             | -             | holding       | hold stop
 rotates back   | -             | -             | holding       | -
 fault          | -             | fault stop    | fault stop    | fault stop
 no devices     | -             | -             | -             | -
-on nothing     | -             | idle          | -             | -
+on nothing     | -             | -             | -             | -
 stop, rotating | -             | halt          | holding       | stop
 """,
     """
