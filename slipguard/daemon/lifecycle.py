@@ -25,6 +25,7 @@ def notify_systemd(message: str) -> bool:
     if address.startswith("@"):
         address = "\0" + address[1:]
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+        sender.setblocking(False)  # a stalled receiver must not stop the control loop
         try:
             sender.connect(address)
             sender.sendall(message.encode())

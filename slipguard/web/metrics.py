@@ -122,6 +122,11 @@ class _StateCollector(Collector):
             "Values that were not recorded because the buffer was full.",
             value=recording.get("left_out", 0),
         )
+        yield CounterMetricFamily(
+            "slipguard_log_lines_lost",
+            "Lines that were not logged because the terminal or journal was blocked.",
+            value=self._counters.get("log_lines_lost", 0),
+        )
 
 
 def _gauge(name: str, what: str, value: float | None) -> Metric:

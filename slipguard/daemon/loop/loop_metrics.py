@@ -9,6 +9,7 @@ from bisect import bisect_left
 from collections import Counter
 from functools import partial
 
+from slipguard.daemon.log_setup import lost_lines
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.loop.finger import ProcessedFrame
@@ -79,4 +80,5 @@ class LoopMetrics:
             "hold": self._hold.as_dict(),
             "faults": dict(self._faults),
             "devices_answered": {"gripper": self._service.gripper.polled, "arm": self._service.arm.polled},
+            "log_lines_lost": lost_lines(),
         }

@@ -15,7 +15,7 @@ import structlog
 
 from slipguard.daemon import log_setup
 from slipguard.daemon.journal import VALUE_MAX, JournalOutput
-from slipguard.daemon.log_setup import configure, set_level
+from slipguard.daemon.log_setup import configure, flush, set_level
 from slipguard.daemon.loop import event_log as event_log_module
 from slipguard.daemon.loop.event_log import KINDS_MAX, EventLog, OncePerSecond
 
@@ -35,6 +35,7 @@ def logged(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO, **options: bool
     monkeypatch.setattr(sys, "stderr", stream)
     configure(**options)  # type: ignore[arg-type]
     structlog.get_logger().warning("the grip slips", rotation_deg=3.5)
+    assert flush(30.0)
     return stream.getvalue()
 
 
@@ -56,6 +57,7 @@ def test_an_exception_is_logged_without_the_values_of_variables(monkeypatch: pyt
             raise KeyError(len(token))
         except KeyError:
             structlog.get_logger().exception("a request failed")
+        assert flush(30.0)
         assert "KeyError: 6" in stream.getvalue()
         assert "secret" not in stream.getvalue()
 
@@ -69,6 +71,7 @@ def test_the_log_level_can_be_changed(monkeypatch: pytest.MonkeyPatch) -> None:
     log.warning("not logged")
     set_level("debug")
     log.debug("logged")
+    assert flush(30.0)
     assert [json.loads(line)["event"] for line in stream.getvalue().splitlines()] == ["logged"]
 
 
@@ -99,6 +102,7 @@ def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
         event_log.warning(f"left: its newest frame is {rotation}.5 ms old")
         if rotation == 100:
             event_log.info("something else")
+    assert flush(30.0)
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [line["event"] for line in lines] == [
         "left: its newest frame is 0.5 ms old",
@@ -117,6 +121,7 @@ def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
     event_log = EventLog()
     for _ in range(3):
         event_log.fault("frames_lost", "no frames", "check the cable")
+    assert flush(30.0)
     assert len(stream.getvalue().splitlines()) == 3
 
 
@@ -156,6 +161,7 @@ def journal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callabl
 
         def entries() -> list[dict[str, str]]:
             found = []
+            assert flush(30.0)
             with contextlib.suppress(BlockingIOError):
                 while True:
                     found.append(read_entry(receiver.recv(1 << 20)))

@@ -1,0 +1,121 @@
+"""A terminal, pipe or journal that accepts nothing blocks no program that logs; lost lines are counted and reported."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import pty
+import socket
+import sys
+import termios
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+
+import pytest
+import structlog
+
+from slipguard.daemon.log_queue import LogQueue
+from slipguard.daemon.log_setup import configure, flush, lost_lines
+from slipguard.daemon.loop.event_log import EventLog
+
+LINES = 2000
+
+
+@pytest.fixture(autouse=True)
+def _as_before() -> Iterator[None]:
+    yield
+    structlog.reset_defaults()
+
+
+def read_until(descriptor: int, last: bytes) -> bytes:
+    read = b""
+    while last not in read or not read.endswith(b"\n"):
+        read += os.read(descriptor, 65536)
+    return read
+
+
+@contextmanager
+def stopped_terminal() -> Iterator[tuple[int, int]]:
+    """A terminal after Ctrl-S. Yields its two ends."""
+    reader, writer = pty.openpty()
+    termios.tcflow(writer, termios.TCOOFF)
+    yield reader, writer
+    os.close(reader)
+    os.close(writer)
+
+
+@contextmanager
+def stalled_pipe() -> Iterator[tuple[int, int]]:
+    reader, writer = os.pipe()
+    yield reader, writer
+    os.close(reader)
+    os.close(writer)
+
+
+@contextmanager
+def stalled_journal() -> Iterator[tuple[int, int]]:
+    """What systemd connects a service's stderr to."""
+    reader, writer = socket.socketpair()
+    with reader, writer:
+        yield reader.fileno(), writer.fileno()
+
+
+@pytest.mark.parametrize("output", [stopped_terminal, stalled_pipe, stalled_journal])
+def test_an_output_that_stalls_blocks_no_logger_and_the_newest_lines_follow(
+    output: Callable[[], AbstractContextManager[tuple[int, int]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with output() as (reader, writer), os.fdopen(os.dup(writer), "w") as stream:
+        monkeypatch.setattr(sys, "stderr", stream)
+        configure(json_lines=True)
+        event_log = EventLog()
+
+        def report() -> None:
+            for number in range(LINES):
+                event_log.fault("slip", f"number {number}", "wait" * 50)
+
+        reporting = threading.Thread(target=report, daemon=True)
+        reporting.start()
+        reporting.join(30.0)
+        assert not reporting.is_alive(), "the caller waits for the output"
+        lost = lost_lines()
+        assert lost > 0
+        assert not flush(0.05)
+        if output is stopped_terminal:
+            termios.tcflow(writer, termios.TCOON)
+        text = read_until(reader, b"check the terminal or journal")
+        monkeypatch.undo()
+    lines = [json.loads(line) for line in text.decode().splitlines() if line.startswith("{") and line.endswith("}")]
+    assert f"{lost_lines()} lines are lost" in lines[-1]["event"]
+    assert lines[-2]["observed"] == f"number {LINES - 1}"
+
+
+def test_messages_of_libraries_take_the_same_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    configure()
+    assert logging.lastResort is not None
+    record = logging.LogRecord("asyncio", logging.ERROR, "", 0, "Task %s was destroyed", ("left",), None)
+    logging.lastResort.handle(record)
+    assert flush(30.0)
+    line = json.loads(stream.getvalue())
+    assert (line["event"], line["level"], line["logger"]) == ("Task left was destroyed", "error", "asyncio")
+
+
+def test_a_process_without_stderr_logs_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    configure()
+    structlog.get_logger().warning("the grip slips")
+    assert flush(30.0)
+
+
+def test_a_closed_queue_takes_no_line() -> None:
+    written = list[str]()
+    queue = LogQueue[str](written.append, lambda lines, blocked_s: None)
+    queue.put("one")
+    queue.close(30.0)
+    queue.put("two")
+    assert queue.flush(30.0)
+    assert written == ["one"]
