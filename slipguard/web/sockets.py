@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import grp
 import os
 import secrets
 import socket
@@ -13,8 +14,8 @@ from pathlib import Path
 
 from slipguard.errors import ConfigError, SlipguardError
 
-SOCKET_MODE = 0o660
-"""Owner and group may send commands."""
+SOCKET_GROUP = "dialout"
+"""May send commands, too: its members can command the gripper without slipguard, over the serial port."""
 PATH_MAX_BYTES = 107
 """Linux, `sun_path` without its closing zero."""
 TOKEN_BYTES = 32
@@ -37,7 +38,7 @@ class UnixSocket:
 
 
 def bind(path: Path) -> UnixSocket:
-    """Open a Unix socket that only owner and group may use; the file of a dead daemon is replaced.
+    """Open a Unix socket that only its owner and `SOCKET_GROUP` may use; the file of a dead daemon is replaced.
 
     Raises ConfigError if it cannot be created, SlipguardError if another daemon is listening there.
     """
@@ -51,7 +52,7 @@ def bind(path: Path) -> UnixSocket:
         made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             made.bind(str(path))
-            path.chmod(SOCKET_MODE)  # before `listen`: until then, no client can connect
+            _set_permissions(path)  # before `listen`: until then, no client can connect
             made.setblocking(False)
             made.listen()  # at once: a socket that does not listen is taken for a dead daemon's
             return UnixSocket(made, path, path.stat().st_ino)
@@ -60,6 +61,15 @@ def bind(path: Path) -> UnixSocket:
             raise
     except OSError as error:
         raise ConfigError(f"{_name(path)}: cannot be created: {error.strerror}") from error
+
+
+def _set_permissions(path: Path) -> None:
+    """Admit `SOCKET_GROUP` if it exists and has this process as a member, else the owner only."""
+    try:
+        os.chown(path, -1, grp.getgrnam(SOCKET_GROUP).gr_gid)
+        path.chmod(0o660)
+    except (KeyError, PermissionError):
+        path.chmod(0o600)
 
 
 def _name(path: Path) -> str:

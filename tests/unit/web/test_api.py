@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import grp
 import json
+import os
 import socket
 import stat
 from collections.abc import Callable
@@ -33,7 +35,7 @@ from slipguard.daemon.api.requests import (
     RestoreBackgroundRequest,
 )
 from slipguard.errors import CommandRefused, ConfigError, DeviceTimeout, SlipguardError
-from slipguard.web import serve
+from slipguard.web import serve, sockets
 from slipguard.web.app import make_app
 from slipguard.web.route_context import RouteContext
 from slipguard.web.sockets import bind, bind_tcp
@@ -164,12 +166,17 @@ async def test_an_internal_error_is_one_line_too(daemon: FakeDaemonApi) -> None:
     assert response.json() == {"error": "/clear failed inside the daemon (KeyError); see the daemon's log"}
 
 
-async def test_the_socket_is_for_owner_and_group_and_is_removed_afterwards(
-    daemon: FakeDaemonApi, tmp_path: Path
+@pytest.mark.parametrize(("group", "mode"), [(sockets.SOCKET_GROUP, 0o660), ("no-such-group", 0o600)])
+async def test_the_socket_is_for_owner_and_serial_group_and_is_removed_afterwards(
+    group: str, mode: int, daemon: FakeDaemonApi, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run" / "s"
+    own = grp.getgrgid(os.getgid())  # in place of dialout, which this user need not be a member of
+    groups = {sockets.SOCKET_GROUP: own}
+    monkeypatch.setattr(sockets.grp, "getgrnam", lambda name: groups[name])
+    monkeypatch.setattr(sockets, "SOCKET_GROUP", group)
     async with served(daemon, path):
-        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+        assert (stat.S_IMODE(path.stat().st_mode), path.stat().st_gid) == (mode, own.gr_gid)
     assert not path.exists()
 
 
