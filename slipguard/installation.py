@@ -109,6 +109,7 @@ def to_install(root: Path, executable: Path, config: str | None, running: Runnin
 
     Raises:
         InputError: The executable's path is not possible, or an included file is missing.
+        SlipguardError: The unit or the rules are masked.
         OSError: A file cannot be read.
     """
     yield _replaced_file(root, UNIT, unit_text(executable))
@@ -121,7 +122,8 @@ def to_install(root: Path, executable: Path, config: str | None, running: Runnin
 
 def to_remove(root: Path, running: RunningServices) -> Iterator[InstallStep]:
     """Yield the steps that remove unit and rules; configuration and state stay. Raises OSError."""
-    existing = [root / PLACES[name] for name in (UNIT, RULES) if (root / PLACES[name]).exists()]
+    places = [root / PLACES[name] for name in (UNIT, RULES)]
+    existing = [path for path in places if path.exists() and not _is_masked(path)]
     if root / PLACES[UNIT] in existing:
         yield _reload(STOP_SERVICE, running)
     for path in existing:
@@ -135,12 +137,20 @@ def to_remove(root: Path, running: RunningServices) -> Iterator[InstallStep]:
 
 def _replaced_file(root: Path, name: str, text: str) -> InstallStep:
     path = root / PLACES[name]
+    if _is_masked(path):
+        undo = f"systemctl unmask {name}" if name == UNIT else f"rm {path}"
+        raise SlipguardError(f"{path} leads to /dev/null: it was switched off on purpose; `{undo}`, then install again")
     if not path.exists():
         return InstallStep(StepAction.WRITE, str(path), content=text)
     before = path.read_text(encoding="utf-8", errors="replace")
     if before == text and stat.S_IMODE(path.stat().st_mode) == MODE:
         return InstallStep(StepAction.SAME, str(path))
     return InstallStep(StepAction.REPLACE, str(path), content=text, diff=_difference(before, text, str(path)))
+
+
+def _is_masked(path: Path) -> bool:
+    """Return whether an administrator has switched a unit or rule off (`systemctl mask`)."""
+    return path.is_symlink() and os.readlink(path) == os.devnull
 
 
 def _user_file(path: Path, config: str | None) -> InstallStep:

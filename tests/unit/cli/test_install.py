@@ -166,3 +166,16 @@ def test_a_command_that_fails_is_one_line() -> None:
         installation.carry_out(InstallStep(StepAction.RUN, "false"))
     with pytest.raises(Exception, match="no-such-program`: not found; install systemd"):
         installation.carry_out(InstallStep(StepAction.RUN, "no-such-program"))
+
+
+@pytest.mark.parametrize("path", [UNIT_FILE, RULES_FILE])
+def test_a_masked_unit_or_rule_stays_masked(root: Path, install, path: Path) -> None:  # type: ignore[no-untyped-def]
+    masked = root / path
+    masked.parent.mkdir(parents=True)
+    masked.symlink_to("/dev/null")
+    for words in ((), ("--dry-run",)):
+        ran = install(*words)
+        assert ran.code == 1
+        assert "/dev/null: it was switched off on purpose" in ran.err
+    assert install("--uninstall").code == 0
+    assert os.readlink(masked) == "/dev/null"
