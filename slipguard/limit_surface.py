@@ -64,7 +64,8 @@ def torque_limit_n_m(force_n: float, friction: float, pad: Pad, tangential_n: fl
 def force_needed_n(load_n: float, lever_m: float, friction: float, pad: Pad) -> float:
     """Return the smallest force at which a finger that carries `load_n` at a lever slips in neither way.
 
-    Solves (f / (mu N))^2 + (tau / tau_max(N))^2 = 1 with tau = f * lever by bisection to 1e-12 relative. 0 for no load.
+    Solves (f / (mu N))^2 + (tau / tau_max(N))^2 = 1 with tau = f * lever by bisection to 1e-12 relative. 0 for no load,
+    at least `NO_CONTACT_N` otherwise.
     """
     if load_n == 0.0:
         return 0.0
@@ -73,7 +74,7 @@ def force_needed_n(load_n: float, lever_m: float, friction: float, pad: Pad) -> 
     def overload(force_n: float) -> float:
         return (load_n / (friction * force_n)) ** 2 + (torque_n_m / torque_limit_n_m(force_n, friction, pad)) ** 2
 
-    low = load_n / friction  # needed against translational slip alone
+    low = max(load_n / friction, NO_CONTACT_N)  # needed against translational slip alone
     high = 2.0 * low
     while overload(high) > 1.0:
         high *= 2.0
