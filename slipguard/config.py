@@ -157,6 +157,10 @@ class LogSection(Section):
     level: Literal["debug", "info", "warning", "error"] = "info"
 
 
+PERIODS_PER_TIMEOUT = 2
+"""A timeout must be longer than one period, by one that is late."""
+
+
 class Config(Section):
     """The whole config.toml."""
 
@@ -171,6 +175,33 @@ class Config(Section):
     state: StateSection = StateSection()
     recording: RecordingSection = RecordingSection()
     log: LogSection = LogSection()
+
+    @model_validator(mode="after")
+    def _timeouts_exceed_periods(self) -> Config:
+        """Refuse a timeout that would report a fault although each period is kept."""
+        tuning, loop = self.guard.tuning, self.loop
+        watched = [
+            ("guard.tuning.cycle_timeout_s", tuning.cycle_timeout_s, "loop.period_ms", loop.period_ms),
+            ("guard.tuning.gripper_timeout_s", tuning.gripper_timeout_s, "loop.poll_ms", loop.poll_ms),
+            ("guard.tuning.arm_timeout_s", tuning.arm_timeout_s, "loop.poll_ms", loop.poll_ms),
+        ]
+        for name in ("left", "right"):
+            section: FingerSection = getattr(self, name)
+            fps, stall_ms = getattr(section.settings, "fps", None), getattr(section.settings, "stall_ms", None)
+            if fps:
+                period = (f"the period of {name}.{section.driver}.fps = {fps:g}", 1e3 / fps)
+                watched.append(("guard.tuning.frames_timeout_s", tuning.frames_timeout_s, *period))
+                if stall_ms is not None:
+                    watched.append((f"{name}.{section.driver}.stall_ms", stall_ms, *period))
+        for key, timeout, period_name, period_ms in watched:
+            least = PERIODS_PER_TIMEOUT * period_ms / (1.0 if key.endswith("_ms") else 1e3)
+            if timeout < least:
+                allowed = f"at least {least:.3g}: {PERIODS_PER_TIMEOUT} times {period_name} ({period_ms:.3g} ms)"
+                raise error_at_key(key, timeout, f"{allowed}; a shorter timeout reports a fault at once")
+        if tuning.tighten_effect_timeout_s <= tuning.tighten_delay_s:
+            longer = f"must be longer than guard.tuning.tighten_delay_s ({tuning.tighten_delay_s:g})"
+            raise error_at_key("guard.tuning.tighten_effect_timeout_s", tuning.tighten_effect_timeout_s, longer)
+        return self
 
 
 GROUP_OF = {
@@ -207,6 +238,11 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
 def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Config:
     """Return the checked configuration from the content of a file. where: names the file in errors."""
     values = dict(raw)
+    # First, because a section with a typo in its name leaves another one incomplete.
+    unknown = [key for key in raw if key not in Config.model_fields]
+    if unknown:
+        shown = unknown[0] or '""'
+        raise ConfigError(f"{where}: {shown}: {describe_unknown_key(unknown[0], list(Config.model_fields))}")
     for name in GROUP_OF:
         values[name] = _with_driver(values.get(name, {}), name, where, sim)
     _check_only_one(values, where)

@@ -12,13 +12,16 @@ from pydantic_core import PydanticCustomError
 _AT_KEY = "at_key"
 _FOLLOWS = "default_factory_not_called"
 """Type of the error of a missing key whose default depends on a wrong key; it is not reported."""
+_UNKNOWN_KEY = "extra_forbidden"
 _SHOWN_MAX = 80
 _SHORT_BELOW = 1e5
 """A whole number below this is shown without a fraction."""
 
 
 def describe_validation_error(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> str:
-    """Return the first problem of a validation error and the number of further ones, in one line.
+    """Return the likeliest cause of a validation error and the number of further problems, in one line.
+
+    An unknown key comes first: a key with a typo leaves another one missing or at its default.
 
     Args:
         error: The validation error.
@@ -26,6 +29,7 @@ def describe_validation_error(error: ValidationError, model: type[BaseModel] | N
         under: The key of the validated table.
     """
     problems = [problem for problem in error.errors(include_url=False) if problem["type"] != _FOLLOWS]
+    problems.sort(key=lambda problem: problem["type"] != _UNKNOWN_KEY)
     more = f" ({len(problems) - 1} more after this one)" if len(problems) > 1 else ""
     return _describe_problem(problems[0], model, under) + more
 
@@ -63,7 +67,7 @@ def _describe_problem(problem: Any, model: type[BaseModel] | None, under: str) -
     if kind == _AT_KEY:
         there = "" if context["given"] is None else f" = {format_value(context['given'])}"
         return f"{'.'.join([*path, context['key']])}{there}: {context['allowed']}"
-    if kind == "extra_forbidden":
+    if kind == _UNKNOWN_KEY:
         known = _known_keys(problem["loc"], model) if model is not None else []
         return f"{key}: {describe_unknown_key(path[-1], known)}"
     if kind == "missing":

@@ -113,6 +113,65 @@ def test_a_wrong_value_is_shown_with_its_key(raw: dict[str, Any], expected: str)
     assert len(text) < 250
 
 
+@pytest.mark.parametrize(
+    ("raw", "expected"),
+    [
+        ({"gripper": {"robotiq": {"prot": "/dev/ttyUSB0"}}}, "gripper.robotiq.prot: no such key; did you mean 'port'?"),
+        ({"grippr": {"robotiq": {"port": "/dev/x"}}}, "grippr: no such key; did you mean 'gripper'?"),
+        (
+            {"gripper": {"driver": "fake"}, "loop": {"period_ms": 0, "pol_ms": 5}},
+            "loop.pol_ms: no such key; did you mean 'poll_ms'? (1 more",
+        ),
+    ],
+)
+def test_of_several_errors_the_typo_is_named_first(raw: dict[str, Any], expected: str) -> None:
+    fingers = {name: {"digit": {"serial": f"D2000{name[0]}"}} for name in ("left", "right")}
+    assert expected in complaint(fingers | {"arm": {"driver": "fake"}} | raw, sim=False)
+
+
+TUNING = "guard.tuning."
+FAKES = {name: {"driver": "fake"} for name in ("left", "right", "gripper", "arm")}
+
+
+@pytest.mark.parametrize(
+    ("raw", "expected"),
+    [
+        ({"loop": {"poll_ms": 500}}, TUNING + "gripper_timeout_s = 0.4: at least 1: 2 times loop.poll_ms (500 ms)"),
+        (
+            {"loop": {"poll_ms": 500}, "guard": {"tuning": {"gripper_timeout_s": 1.0}}},
+            TUNING + "arm_timeout_s = 0.4: at least 1",
+        ),
+        (
+            {"loop": {"period_ms": 100}, "guard": {"tuning": {"cycle_timeout_s": 0.05}}},
+            TUNING + "cycle_timeout_s = 0.05: at least 0.2: 2 times loop.period_ms",
+        ),
+        (
+            {"left": {"digit": {"serial": "D1", "fps": 30}}, "guard": {"tuning": {"frames_timeout_s": 0.05}}},
+            TUNING + "frames_timeout_s = 0.05: at least 0.0667: 2 times the period of left.digit.fps = 30",
+        ),
+        (
+            {"right": {"digit": {"serial": "D1", "fps": 30, "stall_ms": 50}}},
+            "right.digit.stall_ms = 50: at least 66.7",
+        ),
+        (
+            {"guard": {"tuning": {"tighten_effect_timeout_s": 0.2, "tighten_delay_s": 0.5}}},
+            TUNING + "tighten_effect_timeout_s = 0.2: must be longer than guard.tuning.tighten_delay_s (0.5)",
+        ),
+    ],
+)
+def test_a_timeout_shorter_than_the_period_it_watches_is_refused(raw: dict[str, Any], expected: str) -> None:
+    assert expected in complaint(FAKES | raw, sim=False)
+
+
+@pytest.mark.parametrize("mass_kg", [1e-300, 1e-7, 1e-6])
+@pytest.mark.parametrize("lever_mm", [0.0, 500.0])
+def test_a_mass_of_almost_nothing_needs_almost_no_force(mass_kg: float, lever_mm: float) -> None:
+    guard = {"friction": 0.5, "mass_kg": mass_kg, "lever_mm": lever_mm}
+    modelled_n = parse_config({"guard": guard}, where="test", sim=True).guard.modelled_n
+    assert modelled_n is not None
+    assert 0.0 < modelled_n < 0.1
+
+
 def test_an_unknown_driver_lists_the_known_ones() -> None:
     text = complaint(
         {name: {"driver": "fake"} for name in ("left", "right", "arm")} | {"gripper": {"driver": "robotik"}}, sim=False
