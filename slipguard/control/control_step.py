@@ -89,8 +89,11 @@ def _follow_arm(state: GraspState, observation: Observation) -> GraspState:
     arm = observation.arm
     if arm is None:  # an arm that comes back counts its height from where it is found
         return replace(state, arm=replace(state.arm, ground_mm=None))
-    person_near = arm.protective_stop or arm.emergency_stop
-    return state if person_near is state.person.now else replace(state, person=PersonNear(person_near))
+    near, before = arm.protective_stop or arm.emergency_stop, state.person
+    after_stop = not near and before.forbids_force and state.phase is Phase.FAULT
+    if near is before.now and after_stop is before.after_stop:
+        return state
+    return replace(state, person=PersonNear(near, after_stop=after_stop))
 
 
 def _watch_object(state: GraspState, observation: Observation, params: GuardParams) -> tuple[GraspState, Fault | None]:
@@ -131,7 +134,7 @@ def _keep_force(state: GraspState, output: StepOutput, observation: Observation)
     """Repeat the force if the gripper did not take it: a lost command must not leave the grip weak."""
     gripper, grip, now_s = observation.gripper, state.grip, observation.now_s
     held = (state.phase in AT_STAKE or state.phase is Phase.FAULT) and not state.hands_off
-    if not held or gripper is None or state.person.now or output.hold_force_n is not None:
+    if not held or gripper is None or state.person.forbids_force or output.hold_force_n is not None:
         return state, output
     if grip.commanded_s == -math.inf:
         return state, output  # a grip that was taken over is left as it is
@@ -145,8 +148,8 @@ def _keep_force(state: GraspState, output: StepOutput, observation: Observation)
 def _halt_jaws(state: GraspState, output: StepOutput, observation: Observation) -> Result:
     """Halt moving jaws while a person may be near, again and again until they report that they rest.
 
-    The grip is kept, and its force is commanded again after the stop. A closing that was interrupted is not resumed:
-    the jaws may have met a hand, so the grasp must be requested again. A release goes on.
+    The grip is kept, and its force is commanded again after `clear`. A closing that was interrupted is not resumed: the
+    jaws may have met a hand, so the grasp must be requested again. A release goes on.
     """
     gripper, commanded_s, person = observation.gripper, state.grip.commanded_s, state.person
     opening = state.hands_off.release_requested and commanded_s > -math.inf

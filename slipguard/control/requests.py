@@ -137,7 +137,8 @@ def _start(
 
 
 def _guard_on(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
-    state, gripper = replace(state, guarding=True), observation.gripper
+    person = replace(state.person, after_stop=False)
+    state, gripper = replace(state, guarding=True, person=person), observation.gripper
     if state.phase is Phase.FAULT and state.hands_off:
         return _guard_in_fault(state, output, gripper)
     if state.phase is Phase.FAULT:

@@ -147,7 +147,7 @@ def _tighten(
     least_n: float = 0.0,
 ) -> SlipResponse:
     """Tighten by a multiple of the present force, to `least_n` at least, up to the force limit."""
-    if state.person.now:
+    if state.person.forbids_force:
         return SlipResponse(_with_slip(state, slip), stop_arm=True)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     multiplier = force_limits.multiplier(base_multiplier, seen.rate_deg_s, params.tuning.multiplier_per_100_deg_s)
@@ -189,7 +189,7 @@ def _give_up(state: GraspState, seen: SlipAssessment, observation: Observation, 
     present_n = target_n = state.grip.target_n
     if force_range is not None:
         target_n = force_range.allowed(params.force_max_n, present_n)
-    if state.person.now or target_n <= present_n:
+    if state.person.forbids_force or target_n <= present_n:
         return SlipResponse(state, stop_arm=True, fault=fault)
     return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, fault=fault)
 

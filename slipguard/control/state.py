@@ -171,11 +171,21 @@ class HandsOff:
 class PersonNear:
     """A person may be near: the arm reports a protective or emergency stop, so no force is added.
 
-    halted_s: when the jaws were last halted for it; -inf: not in this stop.
+    Args:
+        now: the arm reports it now.
+        halted_s: when the jaws were last halted for it; -inf: not in this stop.
+        after_stop: the stop is over, but a fault is latched. A hand may still be there, so no force is added until a
+            person requests it.
     """
 
     now: bool = False
     halted_s: float = -math.inf
+    after_stop: bool = False
+
+    @property
+    def forbids_force(self) -> bool:
+        """No force may be added."""
+        return self.now or self.after_stop
 
 
 @dataclass(frozen=True, slots=True)

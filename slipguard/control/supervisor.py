@@ -135,7 +135,7 @@ def _arm_stop(observation: Observation) -> Fault | None:
     return Fault(
         FaultCode.ARM_EMERGENCY if arm.emergency_stop else FaultCode.ARM_STOPPED,
         f"the arm stopped itself at {arm.height_mm:.0f} mm",
-        "find the cause, end the stop at the robot's panel, then clear; meanwhile no force is added",
+        "find the cause, end the stop at the robot's panel, then clear; until then no force is added",
     )
 
 

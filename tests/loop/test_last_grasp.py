@@ -253,8 +253,8 @@ def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
     )
 
 
-def test_a_stop_for_a_person_is_remembered_until_the_arm_responds(tmp_path: Path) -> None:
-    """A daemon that starts with a person in the jaws adds no force until it knows that they are gone."""
+def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
+    """A daemon that starts with a person in the jaws adds no force until a person requests it."""
     shelf = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
@@ -266,6 +266,8 @@ def test_a_stop_for_a_person_is_remembered_until_the_arm_responds(tmp_path: Path
         assert restore_control_state(shelf).grasp.person.now
         cell.world.faults.repair("arm")
         await asyncio.sleep(0.3)
-        assert not restore_control_state(shelf).grasp.person.now
+        assert restore_control_state(shelf).grasp.person.forbids_force
+        await cell.submit(ClearRequest())
+        await cell.until(lambda: not restore_control_state(shelf).grasp.person.forbids_force)
 
     play(Cell("wrench", 1), scene)

@@ -110,7 +110,7 @@ class LastGraspSaver:
             return  # a later cycle will do
         grasp, gripper, fault = decision.memory.grasp, decision.observation.gripper, decision.output.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
-        new = _SavedGrasp(None, grasp.person.now)
+        new = _SavedGrasp(None, grasp.person.forbids_force)
         if fault is not None:
             new = replace(
                 new,

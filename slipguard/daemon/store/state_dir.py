@@ -54,7 +54,8 @@ class LastGrasp(_StateFile):
     """How an object was held: force per finger, width of the jaws; saved_at with time zone.
 
     force_n: last commanded; 0 if nothing was held. applied: the gripper had confirmed that force. person_near: the arm
-    was in a protective or emergency stop, so the force was not to be increased. fault: latched at that time.
+    was in a protective or emergency stop, or had been in one since the fault, so the force was not to be increased.
+    fault: latched at that time.
     release_requested, closing_interrupted: the object was not to be guarded during the fault (see `GraspState`).
     """
 

@@ -87,6 +87,8 @@ def test_it_is_not_repeated_while_a_person_may_be_near() -> None:
     play.here = arm(60.0, protective=True)
     assert forces(play.steps(1.0)) == []
     play.here = arm(60.0)
+    assert forces(play.steps(0.4)) == [], "a hand may still be there"
+    play.step(RequestKind.CLEAR)
     assert forces(play.steps(0.4)) == [ASKED_N]
 
 

@@ -103,7 +103,8 @@ def test_what_an_earlier_stop_has_halted_is_not_yet_gripped() -> None:
     assert step(state, view, PARAMS)[0].phase is Phase.CLOSING
 
 
-def test_a_tightening_is_halted_and_its_force_commanded_again_after_the_stop() -> None:
+@pytest.mark.parametrize("request_kind", [RequestKind.CLEAR, RequestKind.GUARD_ON])
+def test_a_tightening_is_halted_and_its_force_commanded_again_on_request(request_kind: RequestKind) -> None:
     play = Play().held()
     target_n = play.slips().hold_force_n
     play.view = fused()
@@ -115,8 +116,24 @@ def test_a_tightening_is_halted_and_its_force_commanded_again_after_the_stop() -
     play.steps(0.5)
     assert play.grasp.grip.target_n == target_n
     play.here = arm()
+    assert {command.hold_force_n for command in play.steps(0.5)} == {None}, "a hand may still be there"
+    play.step(request_kind)
     assert target_n in [command.hold_force_n for command in play.steps(0.3)]
     assert not play.grasp.hands_off.closing_interrupted
+
+
+def test_slip_after_a_stop_adds_no_force_until_clear() -> None:
+    play = Play().held()
+    play.here = STOPPED
+    play.step()
+    play.here = arm()
+    assert play.slips(5.0).hold_force_n is None
+    play.slips(50.0, 100.0, frames=20)
+    assert all(command.hold_force_n is None for command in play.commands[-25:])
+    play.view = fused()
+    play.step(RequestKind.CLEAR)
+    play.steps(0.5)
+    assert play.slips(5.0).hold_force_n is not None
 
 
 def test_each_stop_halts_the_jaws_again() -> None:
