@@ -31,6 +31,12 @@ def set_worker_priority() -> None:
             os.sched_setparam(0, os.sched_param(SECOND))  # the service may not make any other call
 
 
+def set_normal_priority() -> None:
+    """Set the priority of an ordinary program for this thread and those it starts; no effect if not permitted."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 def set_batch_priority(niceness: int) -> None:
     """Set the lowest kind of priority for this thread and the threads and processes it starts.
 

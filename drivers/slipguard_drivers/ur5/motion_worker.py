@@ -22,6 +22,7 @@ from typing import Any
 
 from rtde_control import RTDEControlInterface
 
+from slipguard.thread_priority import set_normal_priority
 from slipguard_drivers.child_process import PACKET_BYTES
 
 SCRIPT_START_TIMEOUT_S = 5.0
@@ -120,7 +121,11 @@ class WorkerServer:
 
 
 def main() -> None:
-    """Serve until the other end closes the socket; then stop the arm."""
+    """Serve until the other end closes the socket; then stop the arm.
+
+    ur-rtde polls without a pause, so it must not have the real-time priority that the daemon hands down.
+    """
+    set_normal_priority()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     silent = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):  # ur-rtde prints every event; what matters is in the replies
