@@ -11,6 +11,7 @@ from typing import Literal
 
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError
+from slipguard_drivers.host_lookup import resolve_host
 from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.preconditions import SCRIPT_PORT
 from slipguard_drivers.ur5.rtde import check_port
@@ -142,7 +143,7 @@ async def check_urcaps(host: str) -> list[CheckResult]:
 async def _listens(host: str, port: int) -> bool:
     try:
         async with asyncio.timeout(URCAP_TIMEOUT_S):
-            _, writer = await asyncio.open_connection(host, port)
+            _, writer = await asyncio.open_connection(await resolve_host(host), port)
     except (OSError, TimeoutError):
         return False
     writer.transport.abort()

@@ -14,6 +14,7 @@ import struct
 from collections.abc import Sequence
 
 from slipguard.errors import CommandRefused, DeviceLost
+from slipguard_drivers.host_lookup import resolve_host
 
 PORT = 30004
 CONNECT_TIMEOUT_S = 0.5
@@ -129,7 +130,7 @@ async def connect_tcp(
     """Open a TCP connection. Raises DeviceLost with the reason and what to check."""
     try:
         async with asyncio.timeout(CONNECT_TIMEOUT_S):
-            return await asyncio.open_connection(host, port)
+            return await asyncio.open_connection(await resolve_host(host), port)
     except TimeoutError:
         reason = f"no answer within {CONNECT_TIMEOUT_S:g} s"
     except OSError as error:
