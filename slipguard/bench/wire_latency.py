@@ -152,6 +152,7 @@ async def measure(options: LatencyOptions, on_progress: Callable[[str, float], N
             Path(folder),
             *("--host", HOST, "--object", options.object_name, "--baud", str(options.baud), "--fps", str(options.fps)),
             "--activated",
+            "--robot-on",
         )
         try:
             on_progress("starting the emulated cell", 0.0)

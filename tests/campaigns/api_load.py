@@ -152,7 +152,16 @@ async def measure_api_load(options: ApiLoadOptions, report: Callable[[str, float
     """
     with tempfile.TemporaryDirectory(prefix="slipguard-api-load-") as name:
         folder = Path(name)
-        words = ("--activated", "--host", HOST, "--object", options.object_name, "--fps", str(options.fps))
+        words = (
+            "--activated",
+            "--robot-on",
+            "--host",
+            HOST,
+            "--object",
+            options.object_name,
+            "--fps",
+            str(options.fps),
+        )
         cell = CellProcess(folder, *words)
         try:
             report("starting the emulated cell", 0.0)

@@ -65,7 +65,7 @@ class WireArmRig(ArmRig):
     """The real driver with ur-rtde in its process, and an emulated controller on a loopback address of its own."""
 
     def __init__(self, mode: GuardMode, series: Literal["e", "cb3"]) -> None:
-        self.controller = UrEmulator(UrEmulator.Settings(host=own_address(30), series=series))
+        self.controller = UrEmulator(UrEmulator.Settings(host=own_address(30), series=series, ready=True))
         settings = Ur5Arm.Settings(host=self.controller.address, acceleration_mm_s2=1200.0)
         self.arm = Ur5Arm(settings, DriverContext("arm", mode=mode))
 

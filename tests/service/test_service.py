@@ -48,7 +48,7 @@ def cell(
 ) -> Iterator[Callable[[], list[dict[str, Any]]]]:
     """The emulated cell, from its first use on; gives the truth so far."""
     said = tmp_path_factory.mktemp("emulator") / "said.txt"
-    options = ("--folder", str(CELL.folder), "--fps", "30", "--object", "wrench", "--activated")
+    options = ("--folder", str(CELL.folder), "--fps", "30", "--object", "wrench", "--activated", "--robot-on")
     words = (PROGRAM, "emulate", "cell", "--json", *options)
 
     def truth() -> list[dict[str, Any]]:

@@ -122,7 +122,7 @@ class Cell:
 def cell(folder: Path, host: str, *options: object) -> Iterator[Cell]:
     """A cell that is ready; ended at the end."""
     place = folder / "cell"
-    words = ("emulate", "cell", "--json", "--folder", place, "--host", host, "--activated", *options)
+    words = ("emulate", "cell", "--json", "--folder", place, "--host", host, "--activated", "--robot-on", *options)
     process = Process(folder, "emulate", *words)
     try:
         until(lambda: '"ready"' in process.said, "the cell is not ready", lambda: process.said)

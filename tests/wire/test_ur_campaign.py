@@ -79,7 +79,19 @@ class Controller:
 
 @pytest.fixture(params=["e", "cb3"])
 async def controller(request: pytest.FixtureRequest) -> AsyncIterator[Controller]:
-    command = [sys.executable, "-m", "slipguard", "emulate", "ur", "--json", "--host", HOST, "--series", request.param]
+    command = [
+        sys.executable,
+        "-m",
+        "slipguard",
+        "emulate",
+        "ur",
+        "--json",
+        "--host",
+        HOST,
+        "--series",
+        request.param,
+        "--ready",
+    ]
     process = await asyncio.create_subprocess_exec(
         *command, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
     )

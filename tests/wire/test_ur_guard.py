@@ -30,7 +30,7 @@ both_series = pytest.mark.parametrize("controller", ["e", "cb3"], indirect=True)
 @pytest.fixture
 async def controller(request: pytest.FixtureRequest) -> AsyncIterator[UrEmulator]:
     series: Literal["e", "cb3"] = getattr(request, "param", "cb3")
-    controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series))
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series, ready=True))
     await controller.start()
     controller.control("panel play")
     yield controller
@@ -264,7 +264,7 @@ async def test_a_pulse_that_cannot_be_ended_is_reported(controller: UrEmulator) 
 
 
 async def test_local_control_is_reported() -> None:
-    controller = UrEmulator(UrEmulator.Settings(host=HOST))
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, ready=True))
     await controller.start()
     controller.control("panel play")
     controller.control("fault local")

@@ -28,7 +28,7 @@ async def _put_away() -> AsyncIterator[None]:
 
 @pytest.fixture
 async def controller() -> AsyncIterator[UrEmulator]:
-    controller = UrEmulator(UrEmulator.Settings(host=HOST, series="cb3"))
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series="cb3", ready=True))
     await controller.start()
     yield controller
     await controller.stop()
@@ -236,7 +236,7 @@ async def test_the_script_of_a_killed_daemon_ends_by_its_watchdog(controller: Ur
 async def test_obstacles_are_reported_before_ur_rtde_connects(
     series: Literal["e", "cb3"], fault: str, words: str
 ) -> None:
-    controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series))
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series=series, ready=True))
     await controller.start()
     try:
         controller.control(f"fault {fault}")

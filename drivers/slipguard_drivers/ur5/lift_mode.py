@@ -3,6 +3,11 @@
 Three independent means stop the arm: the stop command of the control script, the dashboard's `stop` over a connection
 of its own, and the watchdog in the robot. The watchdog is fed only while this event loop runs, the worker process
 responds, and the controller's clock advances.
+
+A protective stop pauses the control script, and the robot would continue its motion after `play`, or by itself after a
+safeguard stop. So the driver ends the paused script by the dashboard, which moves nothing. It never unlocks a stop:
+a person does, after finding the cause. Then it uploads the script again, with the heights as before, and the first
+motion is slow. Until the arm is under control again, its state says that it is stopped, or what prevents control.
 """
 
 from __future__ import annotations
@@ -10,16 +15,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+from dataclasses import replace
 from typing import Any
 
 from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import Arm, ArmState
-from slipguard.errors import CommandRefused, DeviceError, DeviceLost
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.motion_client import MotionWorkerClient
 from slipguard_drivers.ur5.preconditions import check_robot_is_free
 from slipguard_drivers.ur5.settings import Ur5Settings
-from slipguard_drivers.ur5.state_monitor import STALE_S, STOPPED, StateMonitor
+from slipguard_drivers.ur5.state_monitor import STALE_S, STOPPED, RobotState, StateMonitor
 
 HEARTBEAT_S = 0.05
 LOST_S = 0.5
@@ -32,6 +38,11 @@ SPEED_MIN_MM_S = 1.0
 REST_TIMEOUT_S = 1.0
 """From 250 mm/s, the weakest allowed stop (500 mm/s2) takes 0.5 s."""
 POLL_S = 0.01
+RETRY_S = 0.5
+"""How often a paused script is to be ended during a stop, where a controller may refuse it, and how often control of
+the arm is tried to be regained afterwards."""
+AFTER_STOP_MM_S = 20.0
+"""Speed limit of the first motion after a safety stop."""
 START_S = 0.2
 """An uploaded script may start this much later; until then, a stopped program proves nothing."""
 
@@ -52,7 +63,10 @@ class LiftModeArm(Arm):
         self._heartbeat: asyncio.Task[None] | None = None
         self._dashboard_stop: asyncio.Task[bool] | None = None
         self._lost: str | None = None
-        self._monitoring_only = False  # a safety stop is active
+        self._monitoring_only = False  # a safety stop is active, or the arm is not under control again yet
+        self._after_stop = False  # the next motion is the first after a safety stop
+        self._retry_at_s = -math.inf
+        self._blocked: str | None = None  # why control could not be regained after a safety stop
         self._moving = False  # as ur-rtde reports it
         self._stops = 0
         self._reopen_expected = False
@@ -64,7 +78,7 @@ class LiftModeArm(Arm):
     async def open(self) -> None:
         """Connect without moving; heights are relative to the present position. Idempotent.
 
-        During a safety stop the arm is only monitored, and lost when the stop is over: open it again.
+        During a safety stop the arm is only monitored; it is taken under control when the stop is over.
         """
         if self._heartbeat is not None and self._lost is None:
             return
@@ -72,8 +86,7 @@ class LiftModeArm(Arm):
         self._worker.kill()
         try:
             await self._monitor.open()
-            state = self._monitor.newest
-            self._monitoring_only = state.protective or state.emergency
+            self._monitoring_only = self._after_stop = self._monitor.newest.safety_stop
             if not self._monitoring_only:
                 await self._take_control()
         except BaseException as error:
@@ -84,22 +97,34 @@ class LiftModeArm(Arm):
             raise
         self._reopen_expected = False
         now_s = asyncio.get_running_loop().time()
-        self._lost, self._moving, self._connected_at_s, self._agreed_at_s = None, False, now_s, now_s
+        self._lost, self._blocked, self._moving = None, None, False
+        self._connected_at_s = self._agreed_at_s = now_s
         self._heartbeat = asyncio.create_task(self._run_heartbeat(), name=f"{self._name}: heartbeat")
 
     async def state(self) -> ArmState:
-        """Return the newest state. Raises DeviceTimeout if it is old, DeviceLost if the arm must be reopened."""
+        """Return the newest state. Raises DeviceTimeout if it is old, DeviceLost if the arm must be reopened.
+
+        After a safety stop, `protective_stop` stays true until the arm is under control again. DeviceTimeout: something
+        prevents that, such as local control.
+        """
         self._check_open()
-        return self._monitor.arm_state(command_running=self._moving)
+        state = self._monitor.arm_state(command_running=self._moving)
+        if self._blocked is not None:
+            raise DeviceTimeout(self._blocked)
+        if self._monitoring_only and self._after_stop and not state.emergency_stop:
+            return replace(state, protective_stop=True)
+        return state
 
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
         """Start moving; return the speed applied, within the limits. A motion under way is stopped first."""
         check_lift(self._name, height_mm, speed_mm_s)
         self._check_open()
         state = self._monitor.fresh()
-        if state.emergency or state.protective:
+        if state.safety_stop:
             kind = "an emergency" if state.emergency else "a protective"
             raise CommandRefused(f"{self._name}: {kind} stop is active; clear it at the controller first")
+        if self._monitoring_only:
+            raise CommandRefused(f"{self._name}: not under control again after a stop; wait, then send the lift again")
         stops = self._stops
         if self._moving or state.moving:
             await self._call("stop", timeout_s=STOP_TIMEOUT_S)
@@ -108,10 +133,11 @@ class LiftModeArm(Arm):
             raise CommandRefused(f"{self._name}: it was stopped during the command; send the lift again")
         pose = list(self._monitor.fresh().pose)
         pose[2] += height_mm / 1000.0
-        speed_mm_s = min(max(speed_mm_s, SPEED_MIN_MM_S), self._settings.speed_max_mm_s)
+        limit_mm_s = min(self._settings.speed_max_mm_s, AFTER_STOP_MM_S if self._after_stop else math.inf)
+        speed_mm_s = min(max(speed_mm_s, SPEED_MIN_MM_S), limit_mm_s)
         acceleration_m_s2 = self._settings.acceleration_mm_s2 / 1000.0
         await self._call("move", pose, speed_mm_s / 1000.0, acceleration_m_s2, timeout_s=MOVE_TIMEOUT_S)
-        self._moving = True
+        self._moving, self._after_stop = True, False
         return speed_mm_s
 
     async def stop(self) -> None:
@@ -138,6 +164,9 @@ class LiftModeArm(Arm):
             with contextlib.suppress(DeviceError, CommandRefused):
                 await self._worker.call("stop", timeout_s=STOP_TIMEOUT_S)
                 await self._worker.call("leave", timeout_s=STOP_TIMEOUT_S)
+        elif self._monitoring_only and self._own_script_may_run:
+            await self._stop_by_dashboard()
+        self._monitoring_only = False
         if self._reopen_expected:
             self._worker.kill()
         else:
@@ -193,19 +222,19 @@ class LiftModeArm(Arm):
             raise DeviceLost(f"{self._name}: no new state from the controller for {age_s:.1f} s; open it again")
         state = self._monitor.newest
         if self._monitoring_only:
-            if not (state.protective or state.emergency):
-                raise DeviceLost(f"{self._name}: the safety stop is over; open the arm again")
+            await self._follow_safety_stop(state)
             return
         if age_s > STALE_S:  # stop what may be moving, and do not feed the watchdog
             await self._worker.call("stop", timeout_s=STOP_TIMEOUT_S)
             return
-        if self._script_ended:
-            await self._handle_ended_script()
+        if self._script_ended or self._safety_stopped:
+            await self._handle_interrupted_script()
             return
         reply = await self._worker.call("beat", timeout_s=1.0 / self._settings.watchdog_hz)
         self._moving = reply["moving"]
         if not reply["running"]:
-            await self._handle_ended_script()
+            await self._handle_interrupted_script()
+            return
         now_s, moving = asyncio.get_running_loop().time(), self._monitor.newest.moving
         if self._moving is moving:
             self._agreed_at_s = now_s
@@ -217,17 +246,46 @@ class LiftModeArm(Arm):
 
     @property
     def _script_ended(self) -> bool:
-        """Whether no program was running since ours started; one that runs now belongs to another user."""
+        """Whether a packet said since our script started that no program runs; a later one is another user's."""
         return self._monitor.stopped_at_s > self._connected_at_s
 
-    async def _handle_ended_script(self) -> None:
+    @property
+    def _safety_stopped(self) -> bool:
+        """Whether a safety stop was active since our script started, however short."""
+        return self._monitor.safety_stop_at_s > self._connected_at_s
+
+    async def _handle_interrupted_script(self) -> None:
         """After a safety stop, only monitor the arm; after anything else, give it up to the other program."""
         self._worker.kill()
-        self._own_until_s, self._monitoring_only, self._moving = -math.inf, True, False
-        await asyncio.sleep(HEARTBEAT_S)  # the packet that reports the stop may not have arrived yet
-        state = self._monitor.newest
-        if not (state.protective or state.emergency):
+        self._monitoring_only, self._moving = True, False
+        if not self._safety_stopped:
+            await asyncio.sleep(HEARTBEAT_S)  # the packet that reports the stop may not have arrived yet
+        if not self._safety_stopped:
+            self._own_until_s = -math.inf
             raise DeviceLost(f"{self._name}: the control script has ended on the controller; open the arm again")
+        self._after_stop, self._retry_at_s = True, -math.inf
+        self._left_at_s = self._connected_at_s  # a script that is paused since then is ours
+
+    async def _follow_safety_stop(self, state: RobotState) -> None:
+        """End our paused script; take control again when the stop is over."""
+        loop = asyncio.get_running_loop()
+        due = loop.time() >= self._retry_at_s
+        if self._own_script_may_run:
+            self._own_until_s = math.inf
+            if state.runtime != STOPPED and (due or not state.safety_stop):
+                self._retry_at_s = loop.time() + RETRY_S
+                await self._stop_by_dashboard()
+                return
+        if state.safety_stop:
+            self._blocked = None
+        elif due:
+            try:
+                await self._take_control()
+            except DeviceLost as error:
+                self._blocked, self._retry_at_s = str(error), loop.time() + RETRY_S
+                return
+            self._monitoring_only, self._blocked = False, None
+            self._connected_at_s = self._agreed_at_s = loop.time()
 
     async def _call(self, request: str, *arguments: object, timeout_s: float) -> Any:
         try:
@@ -283,6 +341,8 @@ class LiftModeArm(Arm):
 
     async def _end_tasks(self) -> None:
         heartbeat, self._heartbeat = self._heartbeat, None
+        if not self._worker.connected:
+            self._worker.kill()  # ends a connection attempt, which may take seconds
         await cancel_and_wait(heartbeat)
         if self._dashboard_stop is not None:
             await self._dashboard_stop

@@ -31,8 +31,8 @@ STALE_S = 0.2
 """A state older than this is not used: 25 packets."""
 CURRENT_S = 0.05
 """A program that was stopped longer ago may have been started again."""
-PROTECTIVE = 1 << 2 | 1 << 4
-"""Protective stop, safeguard stop."""
+PROTECTIVE = 1 << 2 | 1 << 4 | 1 << 10
+"""Protective stop, safeguard stop, stopped due to safety (such as a three-position switch that is not pressed)."""
 EMERGENCY = 1 << 5 | 1 << 6 | 1 << 7 | 1 << 8 | 1 << 9
 """System, robot and emergency stop, safety violation, safety fault."""
 MOVING_M_S = 0.0005
@@ -75,13 +75,18 @@ class RobotState:
 
     @property
     def protective(self) -> bool:
-        """Whether a protective or safeguard stop is active."""
-        return bool(self.safety_bits & PROTECTIVE)
+        """Whether a stop is active that is no emergency stop: a protective or safeguard stop, or an enabling switch."""
+        return bool(self.safety_bits & PROTECTIVE) and not self.emergency
 
     @property
     def emergency(self) -> bool:
         """Whether an emergency stop is active, or the safety system has found a fault."""
         return bool(self.safety_bits & EMERGENCY)
+
+    @property
+    def safety_stop(self) -> bool:
+        """Whether any stop of the safety system is active."""
+        return self.protective or self.emergency
 
     @property
     def moving(self) -> bool:
@@ -106,6 +111,8 @@ class StateMonitor:
         """Number of packets since `open`."""
         self.stopped_at_s = -math.inf
         """When a packet last said that no program runs."""
+        self.safety_stop_at_s = -math.inf
+        """When a packet last said that a safety stop is active."""
 
     @property
     def version(self) -> tuple[int, ...]:
@@ -190,6 +197,8 @@ class StateMonitor:
                 self.packets += 1
                 if state.runtime == STOPPED:
                     self.stopped_at_s = state.received_at_s
+                if state.safety_stop:
+                    self.safety_stop_at_s = state.received_at_s
                 before = self._newest
                 if before is not None and state.timestamp_s < before.timestamp_s:
                     raise DeviceLost(f"{self._name}: the controller was restarted; open the arm again")

@@ -82,6 +82,12 @@ class CellEmulator(ControlledEmulator):
         activated: Annotated[
             bool, Field(description="The gripper is activated; default: as after power-on (`slipguard ctl activate`).")
         ] = False
+        robot_on: Annotated[
+            bool,
+            Field(
+                description="The robot is switched on, in remote control; default: off (`arm panel on` switches on)."
+            ),
+        ] = False
         fps: Annotated[
             Literal["60", "30"], Field(description="Rate of the cameras; rendering at 60 takes half a core.")
         ] = "60"
@@ -106,7 +112,9 @@ class CellEmulator(ControlledEmulator):
             self._part("gripper"),
             WorldJaws(self.world),
         )
-        arm_settings = UrEmulator.Settings.model_validate({"host": settings.host, "series": settings.series})
+        arm_settings = UrEmulator.Settings.model_validate(
+            {"host": settings.host, "series": settings.series, "ready": settings.robot_on}
+        )
         self.arm = UrEmulator(arm_settings, self._part("arm"), tool=self.tool)
         self.cameras = {name: self._camera(name) for name in FINGERS}
         self.program = self._new_program()
@@ -264,11 +272,11 @@ class CellEmulator(ControlledEmulator):
         return self.program
 
     async def _operate_panel(self) -> None:
-        """Start the robot's own program, and continue it some time after it was paused."""
+        """Start the robot's own program as soon as it is switched on, and continue it some time after it was paused."""
         controller, wait_s = self.arm.controller, self.settings.play_again_s
-        controller.play(_now_s())
-        paused_s: float | None = None
+        started, paused_s = False, None
         while True:
+            started = started or controller.play(_now_s())
             await asyncio.sleep(POLL_S)
             if controller.runtime != PAUSED:
                 paused_s = None

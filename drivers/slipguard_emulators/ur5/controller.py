@@ -11,9 +11,18 @@ from slipguard_emulators.ur5.tool import ToolPlant
 
 STOPPED, PLAYING, PAUSED = 1, 2, 4
 """RTDE's `runtime_state`."""
-SAFETY_BITS = {"NORMAL": 1 << 0, "PROTECTIVE_STOP": 1 << 2, "ROBOT_EMERGENCY_STOP": 1 << 6 | 1 << 7}
-RUNNING, POWER_OFF = 7, 3
-"""RTDE's `robot_mode`."""
+SAFETY = {
+    "NORMAL": (1, 1 << 0),
+    "PROTECTIVE_STOP": (3, 1 << 2 | 1 << 10),
+    "SAFEGUARD_STOP": (5, 1 << 4 | 1 << 10),
+    "ROBOT_EMERGENCY_STOP": (7, 1 << 6 | 1 << 7 | 1 << 10),
+    "SYSTEM_THREE_POSITION_ENABLING_STOP": (13, 1 << 10),
+}
+"""RTDE's `safety_mode` and `safety_status_bits`, by the dashboard's name. Bit 10: stopped due to safety."""
+POWER_OFF, IDLE, RUNNING = 3, 5, 7
+"""RTDE's `robot_mode`: off, on with the brakes engaged, and with the brakes released."""
+UNLOCK_S = 5.0
+"""A protective stop can be unlocked this long after it began, no sooner."""
 
 
 class EventLogger(Protocol):
@@ -23,22 +32,31 @@ class EventLogger(Protocol):
 
 
 class EmulatedController:
-    """One robot. All times are seconds on one clock; `client` is any object that stands for one RTDE connection."""
+    """One robot. All times are seconds on one clock; `client` is any object that stands for one RTDE connection.
 
-    def __init__(self, tool: ToolPlant, note: EventLogger) -> None:
+    ready: the arm is switched on with its brakes released, and the robot is in remote control. A robot that was just
+    switched on is neither.
+    """
+
+    def __init__(self, tool: ToolPlant, note: EventLogger, *, ready: bool = True) -> None:
         self.tool = tool
         self.safety = "NORMAL"
-        self.remote = True
+        self.mode = RUNNING if ready else POWER_OFF
+        self.remote = ready
         self.loaded: Callable[[], RobotProgram] = lambda: ShuttleProgram(tool)
         self.program: RobotProgram | None = None
         self.runtime = STOPPED
         self.output_bits = 0
         """Standard digital outputs."""
+        self.refuses_stop = False
+        """The dashboard's `stop` fails during a safety stop; it is not documented whether that of a real one does."""
         self.fieldbus = False
         """A fieldbus adapter is switched on: it holds all inputs."""
         self._inputs: dict[str, Value] = {}
         self._owners: dict[str, object] = {}
         self._note = note
+        self._stopped_at_s = 0.0
+        self._continues = False
 
     # --- what RTDE clients do ---
 
@@ -84,10 +102,10 @@ class EmulatedController:
             "speed_scaling": (1.0,),
             "target_speed_fraction": (1.0,),
             "runtime_state": (self.runtime,),
-            "safety_status_bits": (SAFETY_BITS[self.safety],),
-            "safety_mode": (1 if self.safety == "NORMAL" else 3,),
-            "robot_status_bits": (0b11 if self.runtime == PLAYING else 0b01,),
-            "robot_mode": (POWER_OFF if self.safety == "ROBOT_EMERGENCY_STOP" else RUNNING,),
+            "safety_status_bits": (SAFETY[self.safety][1],),
+            "safety_mode": (SAFETY[self.safety][0],),
+            "robot_status_bits": ((self.mode != POWER_OFF) | (self.runtime == PLAYING) << 1,),
+            "robot_mode": (self.mode,),
             "actual_digital_output_bits": (self.output_bits,),
         }
         if isinstance(self.program, ControlScript):
@@ -97,8 +115,11 @@ class EmulatedController:
     # --- programs ---
 
     def upload(self, text: str, now_s: float) -> None:
-        """Start a script from the script port and end the running program; ignored in local control or a stop."""
-        allowed = self.remote and self.safety == "NORMAL"
+        """Start a script from the script port and end the running program.
+
+        Ignored in local control, in a stop, and with engaged brakes.
+        """
+        allowed = self.remote and self._may_move
         self._note("script", name=text.split("(")[0].removeprefix("def "), accepted=allowed)
         if allowed:
             self.end("replaced by an uploaded script", now_s)
@@ -106,7 +127,7 @@ class EmulatedController:
 
     def play(self, now_s: float) -> bool:
         """Start the loaded program or continue the paused one; return whether it runs now."""
-        if self.safety != "NORMAL" or self.runtime == PLAYING:
+        if not self._may_move or self.runtime == PLAYING:
             return self.runtime == PLAYING
         if self.program is None:
             self._start(self.loaded())
@@ -133,17 +154,44 @@ class EmulatedController:
         self.program, self.runtime = None, STOPPED
 
     def set_safety(self, state: str, now_s: float) -> None:
-        """Start or end a stop: a protective stop pauses a program and ends ur-rtde's script, an emergency ends both."""
+        """Start or end a stop. Every stop pauses the program, and `play` continues it afterwards.
+
+        An emergency stop ends the program and switches the arm off. After a safeguard stop without a reset button, the
+        program continues by itself.
+        """
         if state == self.safety:
             return
+        continues, self._continues = self._continues, False
         self.safety = state
         self._note("safety", state=state)
-        if state == "PROTECTIVE_STOP" and not isinstance(self.program, ControlScript):
-            self.pause(now_s, "a protective stop")
-        elif state != "NORMAL":
-            self.end("a safety stop", now_s)
-        if state != "NORMAL":
-            self.tool.stop(now_s, PROGRAM_STOP_M_S2)
+        if state == "NORMAL":
+            if continues:
+                self.play(now_s)
+            return
+        self._stopped_at_s = now_s
+        if state == "ROBOT_EMERGENCY_STOP":
+            self.end("an emergency stop", now_s)
+            self.mode = POWER_OFF
+        else:
+            paused = self.pause(now_s, state.lower().replace("_", " "))
+            self._continues = paused and state == "SAFEGUARD_STOP"
+        self.tool.stop(now_s, PROGRAM_STOP_M_S2)
+
+    def unlock(self, now_s: float) -> bool:
+        """End a protective stop; return whether it could be unlocked already."""
+        if self.safety == "PROTECTIVE_STOP" and now_s - self._stopped_at_s < UNLOCK_S:
+            return False
+        if self.safety == "PROTECTIVE_STOP":
+            self.set_safety("NORMAL", now_s)
+        return True
+
+    def power(self, mode: int, now_s: float) -> None:
+        """Switch the arm on or off, or release its brakes; a real one takes some seconds."""
+        if self.safety != "ROBOT_EMERGENCY_STOP" and not (mode == IDLE and self.mode == RUNNING):
+            if mode == POWER_OFF:
+                self.end("the arm was switched off", now_s)
+            self.mode = mode
+            self._note("robot mode", mode=mode)
 
     def cycle(self, now_s: float) -> None:
         """Execute one cycle of the running program."""
@@ -151,6 +199,10 @@ class EmulatedController:
             why = self.program.cycle(now_s)
             if why is not None:
                 self.end(why, now_s)
+
+    @property
+    def _may_move(self) -> bool:
+        return self.safety == "NORMAL" and self.mode == RUNNING
 
     def _start(self, program: RobotProgram) -> None:
         self.program, self.runtime = program, PLAYING

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from slipguard_emulators.ur5.controller import PAUSED, PLAYING, EmulatedController
+from slipguard_emulators.ur5.controller import IDLE, PAUSED, PLAYING, POWER_OFF, RUNNING, EmulatedController
 
 GREETING = "Connected: Universal Robots Dashboard Server"
 NOT_IN_LOCAL = (
     "Command is not allowed due to safety reasons, please switch robot to Remote Control mode "
     "and reconnect to port 29999"
 )
-ORDERS = ("play", "pause", "stop", "unlock protective stop", "close safety popup")
+TOO_EARLY = (
+    "Cannot unlock protective stop until 5s after occurrence. Always inspect cause of protective stop before unlocking"
+)
+POWER = {
+    "power on": (IDLE, "Powering on"),
+    "power off": (POWER_OFF, "Powering off"),
+    "brake release": (RUNNING, "Brake releasing"),
+}
+"""What each order switches the arm to, and the answer. `brake release` also switches it on."""
+MODES = {POWER_OFF: "POWER_OFF", IDLE: "IDLE", RUNNING: "RUNNING"}
+ORDERS = ("play", "pause", "stop", "unlock protective stop", "close safety popup", *POWER)
 
 
 class DashboardServer:
@@ -34,21 +44,25 @@ class DashboardServer:
         if order == "pause":
             return "Pausing program" if robot.pause(now_s) else "Failed to execute: pause"
         if order == "stop":
+            if robot.refuses_stop and robot.safety != "NORMAL":
+                return "Failed to execute: stop"
             robot.end("stopped by the dashboard", now_s)
             return "Stopped"
         if order == "unlock protective stop":
-            robot.set_safety("NORMAL", now_s)
-            return "Protective stop releasing"
+            return "Protective stop releasing" if robot.unlock(now_s) else TOO_EARLY
+        if order in POWER:
+            mode, answer = POWER[order]
+            robot.power(mode, now_s)
+            return answer
         return "closing safety popup"
 
     def _questions(self, now_s: float) -> dict[str, str]:
         robot = self._controller
         name = robot.program.name if robot.program is not None else "shuttle.urp"
         state = {PLAYING: "PLAYING", PAUSED: "PAUSED"}.get(robot.runtime, "STOPPED")
-        off = robot.safety == "ROBOT_EMERGENCY_STOP"
         answers = {
             "polyscopeversion": f"URSoftware {'.'.join(map(str, self._version))} (Nov 01 2024)",
-            "robotmode": f"Robotmode: {'POWER_OFF' if off else 'RUNNING'}",
+            "robotmode": f"Robotmode: {MODES[robot.mode]}",
             "safetymode": f"Safetymode: {robot.safety}",
             "safetystatus": f"Safetystatus: {robot.safety}",
             "programstate": f"{state} {name}",

@@ -19,7 +19,7 @@ from slipguard.cancellation import cancel_and_wait
 from slipguard.emulator import Report
 from slipguard.errors import InputError
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
-from slipguard_emulators.ur5.controller import PAUSED, PLAYING, EmulatedController
+from slipguard_emulators.ur5.controller import PAUSED, PLAYING, POWER_OFF, RUNNING, EmulatedController
 from slipguard_emulators.ur5.dashboard import GREETING, DashboardServer
 from slipguard_emulators.ur5.rtde import message
 from slipguard_emulators.ur5.rtde_session import RtdeSession
@@ -37,11 +37,21 @@ FAULTS = {
     "half": "only half of a packet or answer",
     "drop": "all connections are closed; until cleared, each new one too",
     "kill": "the controller is gone, its arm is at rest",
-    "protective_stop": "the arm stops itself; clear unlocks it",
+    "protective_stop": "the arm stops itself and its program pauses; clear unlocks it at once",
+    "safeguard_stop": "a safeguard input is open and the program pauses; clear closes it, and the program continues",
+    "enabling_stop": "a three-position switch is not pressed: only bit 10 of the safety status is set",
     "emergency_stop": "the emergency stop is pressed; clear releases it and powers the arm on",
+    "refuse_stop": "the dashboard's `stop` fails during a safety stop",
     "local": "local control: no dashboard commands, no scripts",
     "fieldbus": "a fieldbus adapter holds all RTDE inputs: IN_USE",
 }
+STOPS = {
+    "emergency_stop": "ROBOT_EMERGENCY_STOP",
+    "protective_stop": "PROTECTIVE_STOP",
+    "safeguard_stop": "SAFEGUARD_STOP",
+    "enabling_stop": "SYSTEM_THREE_POSITION_ENABLING_STOP",
+}
+"""Faults that are safety stops, the gravest first."""
 WriteBytes = Callable[[bytes], None]
 Serve = Callable[[asyncio.StreamReader, WriteBytes], Awaitable[None]]
 
@@ -56,6 +66,10 @@ class UrEmulator(ControlledEmulator):
 
         host: str = Field("127.0.0.1", description="Address of this machine to listen on.")
         series: Literal["e", "cb3"] = Field("e", description="e: 500 Hz, 5.17; cb3: 125 Hz, 3.15.")
+        ready: bool = Field(
+            False,
+            description="Start switched on, brakes released, in remote control; a real robot starts switched off.",
+        )
         late_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(100.0, description="Delay of the fault `late`.")
         script_start_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(
             20.0, description="Time from a script's upload to its start."
@@ -65,7 +79,9 @@ class UrEmulator(ControlledEmulator):
         super().__init__(FAULTS, report=report)
         self.settings = settings
         self.tool: ToolPlant = tool or StraightTool()
-        self.controller = EmulatedController(self.tool, self.note)
+        self.controller = EmulatedController(self.tool, self.note, ready=settings.ready)
+        self.controller.remote |= settings.series == "cb3"  # which knows no local control
+        self._stop, self._local = "NORMAL", False
         self._version, self._rate_hz = SERIES[settings.series]
         self._servers: list[asyncio.Server] = []
         self._clients: set[asyncio.StreamWriter] = set()
@@ -102,6 +118,7 @@ class UrEmulator(ControlledEmulator):
             "speed_m_s": round(sum(value**2 for value in self.tool.velocity(now_s)[:3]) ** 0.5, 4),
             "program": robot.program.name if robot.program is not None else None,
             "runtime": {PLAYING: "playing", PAUSED: "paused"}.get(robot.runtime, "stopped"),
+            "power": {POWER_OFF: "off", RUNNING: "on"}.get(robot.mode, "on, brakes engaged"),
             "safety": robot.safety.lower().replace("_", " "),
             "control": "remote" if robot.remote else "local",
             "outputs": robot.output_bits,
@@ -111,27 +128,45 @@ class UrEmulator(ControlledEmulator):
 
     def commands(self) -> dict[str, EmulatorCommand]:
         """Return the command `panel`."""
+        robot = self.controller
         orders: dict[str, Callable[[], object]] = {
-            "play": lambda: self.controller.play(_now_s()),
-            "pause": lambda: self.controller.pause(_now_s(), "pressed at the panel"),
-            "stop": lambda: self.controller.end("pressed at the panel", _now_s()),
+            "play": lambda: robot.play(_now_s()),
+            "pause": lambda: robot.pause(_now_s(), "pressed at the panel"),
+            "stop": lambda: robot.end("pressed at the panel", _now_s()),
+            "unlock": lambda: robot.unlock(_now_s()),
+            "on": lambda: robot.power(RUNNING, _now_s()),
+            "off": lambda: robot.power(POWER_OFF, _now_s()),
+            "remote": lambda: self._set_remote(remote=True),
+            "local": lambda: self._set_remote(remote=False),
         }
+        usage = f"panel {'|'.join(orders)}"
 
         def panel(rest: list[str]) -> str:
             if len(rest) != 1 or rest[0] not in orders:
-                return "panel play|pause|stop"
+                return usage
             orders[rest[0]]()
-            return str(self.state()["runtime"])
+            state = self.state()
+            return f"power {state['power']}, {state['control']} control, {state['safety']}, program {state['runtime']}"
 
-        return {"panel": (panel, "panel play|pause|stop: press a button at the panel; the program moves up and down")}
+        return {"panel": (panel, f"{usage}: press a button at the panel; the program moves up and down")}
+
+    def _set_remote(self, *, remote: bool) -> None:
+        self.controller.remote = remote
 
     def fault_changed(self) -> None:
         """Start and end stops and local control at once; connection faults start with the next cycle."""
         robot, active = self.controller, self.faults.active
-        emergency, protective = "emergency_stop" in active, "protective_stop" in active
-        state = "ROBOT_EMERGENCY_STOP" if emergency else "PROTECTIVE_STOP" if protective else "NORMAL"
-        robot.set_safety(state, _now_s())
-        robot.remote = "local" not in active
+        stop = next((state for fault, state in STOPS.items() if fault in active), "NORMAL")
+        if stop != self._stop:  # a stop that was unlocked since does not begin again
+            if self._stop == "ROBOT_EMERGENCY_STOP":
+                robot.set_safety("NORMAL", _now_s())
+                robot.power(RUNNING, _now_s())
+            self._stop = stop
+            robot.set_safety(stop, _now_s())
+        if self._local != ("local" in active):
+            self._local = "local" in active
+            robot.remote = not self._local
+        robot.refuses_stop = "refuse_stop" in active
         robot.fieldbus = "fieldbus" in active
 
     async def _run(self) -> None:

@@ -86,6 +86,7 @@ class ControlScript(RobotProgram):
         self._executing: int | None = None
         self._thread: str | None = None
         self._changes = self._operation = 0
+        self._motion: tuple[list[float], float, float] | None = None
         self._note(started=False)
 
     @property
@@ -102,10 +103,15 @@ class ControlScript(RobotProgram):
         }
 
     def pause(self, now_s: float) -> None:
+        if not self._tool.under_way(now_s):
+            self._motion = None
         self._tool.stop(now_s, PROGRAM_STOP_M_S2)
 
     def resume(self, now_s: float) -> None:
-        """Do nothing: a paused move is not continued."""
+        """Continue the move that was under way; the time in the pause does not count for the watchdog."""
+        self.last_kick_s = now_s
+        if self._motion is not None:
+            self._tool.move(now_s, *self._motion)
 
     def cycle(self, now_s: float) -> str | None:
         if self.watchdog_s is not None and now_s - self.last_kick_s > self.watchdog_s:
@@ -135,10 +141,12 @@ class ControlScript(RobotProgram):
             if self._thread == "stop":
                 return "another thread is already controlling the robot"
             self._on_command(command, "movel" + " in a thread" * asynchronous)
-            self._tool.move(now_s, doubles[:6], doubles[6], doubles[7])
+            self._motion = (doubles[:6], doubles[6], doubles[7])
+            self._tool.move(now_s, *self._motion)
             self._note(started=asynchronous, thread="move")
         elif command in (STOP_L, STOP_J):
             self._on_command(command, "stopl" if command == STOP_L and asynchronous else "stopj")
+            self._motion = None
             self._tool.stop(now_s, doubles[0])
             self._note(started=asynchronous, thread="stop")
         elif command == WATCHDOG:

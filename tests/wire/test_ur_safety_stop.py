@@ -1,0 +1,165 @@
+"""Lift mode after a safety stop: the paused script is ended, and the arm comes back under control without a jump."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import pytest
+from ur_scene import lifting, lost, own_address, put_away, rests, script_commands, speed_of, under_way, until
+
+from slipguard.devices import Arm, ArmState
+from slipguard.errors import CommandRefused, DeviceError, DeviceTimeout
+from slipguard_drivers.ur5.lift_mode import AFTER_STOP_MM_S, LiftModeArm
+from slipguard_emulators.ur5.emulator import UrEmulator
+
+HOST = own_address(36)
+PAUSING_STOPS = ["protective_stop", "safeguard_stop", "enabling_stop"]
+
+
+@pytest.fixture(autouse=True)
+async def _put_away() -> AsyncIterator[None]:
+    yield
+    await put_away()
+
+
+@pytest.fixture
+async def controller() -> AsyncIterator[UrEmulator]:
+    controller = UrEmulator(UrEmulator.Settings(host=HOST, series="cb3", ready=True))
+    await controller.start()
+    yield controller
+    await controller.stop()
+
+
+@pytest.fixture
+async def arm(controller: UrEmulator) -> AsyncIterator[LiftModeArm]:
+    arm = lifting(HOST)
+    await arm.open()
+    yield arm
+    await put_away()
+
+
+async def state_of(arm: Arm) -> ArmState | None:
+    """The state, None while it is late."""
+    try:
+        return await arm.state()
+    except DeviceTimeout:
+        return None
+
+
+async def regained(arm: Arm, within_s: float = 4.0) -> ArmState:
+    """Wait until the state reports no stop; the arm is never lost meanwhile."""
+    async with asyncio.timeout(within_s):
+        while True:
+            state = await state_of(arm)
+            if state is not None and not (state.protective_stop or state.emergency_stop):
+                return state
+            await asyncio.sleep(0.005)
+
+
+async def lifted(arm: Arm, height_mm: float, speed_mm_s: float) -> float:
+    """Lift; a machine too busy for the deadlines is given further chances."""
+    for _ in range(3):
+        try:
+            return await arm.lift(height_mm, speed_mm_s)
+        except DeviceError:
+            await arm.open()
+    return await arm.lift(height_mm, speed_mm_s)
+
+
+@pytest.mark.parametrize("refuses", [False, True], ids=["ends at once", "refuses to end it during the stop"])
+@pytest.mark.parametrize("stop", PAUSING_STOPS)
+async def test_the_arm_comes_back_under_control(
+    controller: UrEmulator, arm: LiftModeArm, stop: str, refuses: bool
+) -> None:
+    await under_way(arm, controller)
+    if refuses:
+        controller.control("fault refuse_stop")
+    controller.control(f"fault {stop}")
+    assert await rests(controller)
+    stopped = await state_of(arm)
+    assert stopped is not None
+    assert (stopped.protective_stop, stopped.emergency_stop) == (True, False)
+    assert stopped.height_mm > 0.0
+    assert await until(lambda: controller.state()["runtime"] == ("paused" if refuses else "stopped"))
+    with pytest.raises(CommandRefused, match="stop is active"):
+        await arm.lift(10.0, 50.0)
+    controller.control(f"clear {stop}")
+    await asyncio.sleep(0.1)
+    after = await regained(arm)
+    assert after.height_mm == pytest.approx(stopped.height_mm, abs=25.0), "heights count from where they did before"
+    assert not [event for event in controller.events("dashboard") if "unlock" in str(event["asked"])]
+    assert await lifted(arm, -20.0, 200.0) == AFTER_STOP_MM_S
+    assert await until(lambda: speed_of(controller) > 0.01)
+    assert speed_of(controller) < 0.03
+    await arm.stop()
+    assert await rests(controller)
+    assert await lifted(arm, -10.0, 200.0) == 200.0, "only the first motion is slow"
+
+
+async def test_an_emergency_stop_keeps_the_heights(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault emergency_stop")
+    assert await rests(controller)
+    stopped = await arm.state()
+    assert (stopped.protective_stop, stopped.emergency_stop) == (False, True)
+    controller.control("panel remote")
+    controller.control("clear")
+    assert (await regained(arm)).height_mm == pytest.approx(stopped.height_mm, abs=1.0)
+
+
+async def test_a_program_resumed_at_the_panel_is_ended(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault refuse_stop")
+    controller.control("fault protective_stop")
+    assert await rests(controller)
+    assert await until(lambda: controller.state()["runtime"] == "paused")
+    height_m = controller.state()["pose"][2]  # type: ignore[index]
+    controller.control("clear protective_stop")
+    controller.control("panel play")
+    assert controller.state()["runtime"] == "playing"
+    assert await until(lambda: controller.state()["runtime"] == "stopped")
+    await regained(arm)
+    assert controller.state()["pose"][2] < height_m + 0.05  # type: ignore[index]
+    assert script_commands(controller).count("movel in a thread") == 1
+
+
+async def test_what_prevents_control_after_a_stop_is_reported(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault protective_stop")
+    assert await until(lambda: arm._monitor.stopped_at_s > arm._connected_at_s)
+    controller.control("clear")
+    controller.control("panel play")
+    assert await until(lambda: arm._blocked)
+    with pytest.raises(DeviceTimeout, match=r"a program is running or paused \(PLAYING shuttle.urp\)"):
+        await arm.state()
+    with pytest.raises(CommandRefused, match="not under control again"):
+        await arm.lift(10.0, 50.0)
+    assert controller.state()["runtime"] == "playing", "another program is not ended"
+    controller.control("panel stop")
+    await regained(arm)
+
+
+async def test_a_stop_after_close_leaves_no_paused_script(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault refuse_stop")
+    controller.control("fault protective_stop")
+    assert await until(lambda: controller.state()["runtime"] == "paused")
+    await asyncio.sleep(0.2)
+    controller.control("clear refuse_stop")
+    await arm.close()
+    assert controller.state()["runtime"] == "stopped"
+
+
+async def test_a_link_lost_during_a_stop(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault refuse_stop")
+    controller.control("fault protective_stop")
+    assert await until(lambda: controller.state()["runtime"] == "paused")
+    controller.control("fault drop 1")
+    await lost(arm)
+    await arm.open()
+    assert (await arm.state()).protective_stop
+    controller.control("clear")
+    assert await regained(arm)
+    assert controller.state()["program"] == "<unnamed>"
