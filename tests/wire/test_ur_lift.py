@@ -7,12 +7,14 @@ import os
 import signal
 import threading
 from collections.abc import AsyncIterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Literal
 
 import pytest
 from ur_scene import lifting, lost, opened, own_address, put_away, refusal, rests, script_commands, under_way, until
 
 from slipguard.errors import CommandRefused, DeviceLost
+from slipguard.thread_priority import set_batch_priority
 from slipguard_drivers.ur5.lift_mode import LiftModeArm
 from slipguard_drivers.ur5.rtde import RtdeConnection
 from slipguard_emulators.ur5.emulator import UrEmulator
@@ -55,6 +57,17 @@ def saw_no_program(arm: LiftModeArm) -> bool:
 async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     assert script_commands(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
+
+
+async def test_the_worker_does_not_inherit_a_special_priority(controller: UrEmulator) -> None:
+    """ur-rtde polls without a pause: with the loop's real-time priority it would stand above the fingers' threads."""
+    arm = lifting(HOST)
+    with ThreadPoolExecutor(1, initializer=set_batch_priority, initargs=(0,)) as back:
+        back.submit(arm._worker.start_spare).result()
+    await opened(arm)
+    threads = [int(name) for name in os.listdir(f"/proc/{arm._worker.pid}/task")]
+    assert len(threads) > 1
+    assert {os.sched_getscheduler(thread) for thread in threads} == {os.SCHED_OTHER}
 
 
 async def test_a_stop_is_a_linear_one(controller: UrEmulator, arm: LiftModeArm) -> None:

@@ -84,9 +84,7 @@ class CellEmulator(ControlledEmulator):
         ] = False
         robot_on: Annotated[
             bool,
-            Field(
-                description="The robot is switched on, in remote control; default: off (`arm panel on` switches on)."
-            ),
+            Field(description="The robot is switched on, in remote control; default: off (`arm panel on`)."),
         ] = False
         fps: Annotated[
             Literal["60", "30"], Field(description="Rate of the cameras; rendering at 60 takes half a core.")
@@ -274,7 +272,8 @@ class CellEmulator(ControlledEmulator):
     async def _operate_panel(self) -> None:
         """Start the robot's own program as soon as it is switched on, and continue it some time after it was paused."""
         controller, wait_s = self.arm.controller, self.settings.play_again_s
-        started, paused_s = False, None
+        started = False
+        paused_s: float | None = None
         while True:
             started = started or controller.play(_now_s())
             await asyncio.sleep(POLL_S)

@@ -14,7 +14,14 @@ import structlog
 
 from slipguard.cli.app import run
 from slipguard.errors import SlipguardError
-from slipguard.thread_priority import FIRST, SECOND, set_batch_priority, set_realtime_priority, set_worker_priority
+from slipguard.thread_priority import (
+    FIRST,
+    SECOND,
+    set_batch_priority,
+    set_normal_priority,
+    set_realtime_priority,
+    set_worker_priority,
+)
 from tests.campaigns.command_line import run as run_campaign
 
 UNTIL_IT_STANDS_BACK = """
@@ -42,6 +49,13 @@ def test_batch_priority_applies_to_one_thread_and_its_children() -> None:
     fields = child.rpartition(")")[2].split()  # from the third value on, its state
     assert (int(fields[41 - 3]), int(fields[19 - 3])) == (policy, niceness)
     assert standing() == before
+
+
+def test_normal_priority_applies_to_the_threads_and_processes_that_are_started() -> None:
+    with ThreadPoolExecutor(1, initializer=set_batch_priority, initargs=(0,)) as back:
+        assert back.submit(standing).result()[0] == os.SCHED_BATCH
+        back.submit(set_normal_priority).result()
+        assert back.submit(standing).result()[0] == os.SCHED_OTHER
 
 
 @pytest.mark.parametrize("module", ["slipguard.web", "slipguard_drivers.digit.render_process"])
