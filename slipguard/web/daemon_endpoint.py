@@ -125,10 +125,11 @@ async def _submit(daemon: DaemonApi, arguments: dict[str, Any]) -> dict[str, obj
     kind, model = arguments.get("kind"), REQUESTS.get(arguments.get("kind", ""))
     if model is None:
         raise SlipguardError(f"unknown request {kind!r}; known: {', '.join(REQUESTS)}")
-    if not time.monotonic() < arguments.get("deliver_until_s", 0.0):
+    deadline_s = arguments.get("deadline_s", 0.0)
+    if not time.monotonic() < deadline_s:
         raise CommandRefused(f"{kind}: reached the daemon too late and was not executed; send it again")
     try:
         request = model.model_validate(arguments.get("fields"))
     except ValidationError as invalid:
         raise SlipguardError(f"{kind}: {describe_validation_error(invalid, model)}") from None
-    return dict(await daemon.submit(request))
+    return dict(await daemon.submit(request, deadline_s))

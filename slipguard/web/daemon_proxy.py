@@ -9,15 +9,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from slipguard.daemon.api.daemon_api import DaemonApi, FingerFrame
-from slipguard.daemon.api.requests import DaemonRequest
+from slipguard.daemon.api.requests import EXECUTE_WITHIN_S, DaemonRequest
 from slipguard.daemon.loop.event_log import KEPT, Event
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.web.protocol import decode_finger_frame, encode_message, read_message
 
 RESPONSE_TIMEOUT_S = 5.0
-REQUEST_DELIVERY_S = 2.0
-"""A request that has not reached the daemon by then is not executed. With the loop's own 2 s, this makes sure that
-nothing is executed that was reported as failed."""
 Response = tuple[dict[str, Any], bytes]
 
 
@@ -81,11 +78,11 @@ class DaemonProxy(DaemonApi):
             raise DaemonInternalError(message["bug"])
         return message, data
 
-    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+    async def submit(self, request: DaemonRequest, deadline_s: float | None = None) -> Mapping[str, object]:
         arguments = {
             "kind": request.kind,
             "fields": request.model_dump(mode="json"),
-            "deliver_until_s": time.monotonic() + REQUEST_DELIVERY_S,  # one clock for all processes of a machine
+            "deadline_s": deadline_s or time.monotonic() + EXECUTE_WITHIN_S,  # one clock for all processes of a machine
         }
         message, _ = await self._call("submit", arguments, request.response_timeout_s)
         result: dict[str, object] = message["result"]

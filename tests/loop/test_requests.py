@@ -11,6 +11,8 @@ from loop_cell import Cell, play
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import GraspRequest, LiftRequest, MoveJawsRequest, ReleaseRequest
+from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.errors import CommandRefused, DeviceTimeout
 
 
@@ -127,5 +129,82 @@ def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns() -
         await asyncio.sleep(2.0)
         assert cell.truth.height_mm == 0.0
         assert cell.phase is Phase.FAULT
+
+    play(Cell(), scene)
+
+
+def test_a_grasp_whose_preparation_outlasts_its_client_does_not_close_the_jaws() -> None:
+    """Slow storage: 6 s for each background image, while the client gives up after 5 s."""
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        load = cell.store.load_background
+
+        def read_slowly(serial: str, number: int | None = None) -> BackgroundImage | None:
+            loop = asyncio.get_running_loop()
+            assert isinstance(loop, VirtualTimeLoop)
+            loop.stand_still(6.0)
+            return load(serial, number)
+
+        cell.store.load_background = read_slowly  # type: ignore[method-assign]
+        with pytest.raises(CommandRefused, match=r"grasp.*(not executed|not read within 4 s)"):
+            await cell.submit(GraspRequest())
+        await asyncio.sleep(10.0)
+        assert cell.gripper.commands == []
+        assert cell.phase is Phase.IDLE
+
+    play(Cell(), scene)
+
+
+def test_slow_storage_is_named_before_the_client_gives_up() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        asked_s = cell.now_s
+        cell.handlers._capture.check_calibrated = lambda: asyncio.sleep(6.0)  # type: ignore[method-assign]
+        with pytest.raises(CommandRefused, match="cannot grasp: the background images were not read within 4 s"):
+            await cell.submit(GraspRequest())
+        assert cell.now_s - asked_s < GraspRequest.response_timeout_s
+        await asyncio.sleep(10.0)
+        assert cell.gripper.commands == []
+
+    play(Cell(), scene)
+
+
+@pytest.mark.parametrize("request_kind", [RequestKind.GRASP, RequestKind.RELEASE])
+def test_a_request_in_the_queue_of_a_suspended_process_is_not_executed_afterwards(request_kind: RequestKind) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualTimeLoop)
+        asked = asyncio.create_task(cell.service.request(ControlRequest(request_kind)))
+        await asyncio.sleep(0)
+        loop.stand_still(6.0)
+        with pytest.raises(CommandRefused, match="did not respond within 2 s; not executed"):
+            await asked
+        await asyncio.sleep(1.0)
+        assert cell.gripper.commands == []
+
+    play(Cell(), scene)
+
+
+def test_a_request_that_a_cycle_takes_at_the_last_moment_is_not_reported_as_failed() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        outcomes = set[bool]()
+        for number in range(8):
+            executed = len(cell.gripper.commands)
+            request, no_wake = ControlRequest(RequestKind.GRASP), asyncio.Event()
+            try:
+                await cell.service._requests.submit(request, no_wake, cell.now_s + 1e-3 * number)
+                reported = True
+            except CommandRefused:
+                reported = False
+            await asyncio.sleep(0.2)
+            assert (len(cell.gripper.commands) > executed) is reported
+            outcomes.add(reported)
+            if reported:
+                await cell.until(lambda: cell.phase is not Phase.CLOSING)
+                await cell.release()
+        assert outcomes == {False, True}
 
     play(Cell(), scene)

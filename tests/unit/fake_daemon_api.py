@@ -87,7 +87,7 @@ class FakeDaemonApi(DaemonApi):
         contact = ContactOverlay(mask, 50, 60, (160, 213), ClippedSides(), 90.0)
         return FingerFrame("D20001", Frame(np.full((320, 240, 3), 90, np.uint8), 12.25, self.frames), contact)
 
-    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+    async def submit(self, request: DaemonRequest, deadline_s: float | None = None) -> Mapping[str, object]:
         self.requests.append(request)
         self.started.set()
         await asyncio.sleep(self.delay_s)

@@ -69,8 +69,11 @@ class DaemonApi(Protocol):
         """Return the newest processed frame of a finger and the contact found in it."""
 
     @abstractmethod
-    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
-        """Execute a request; return its response, a JSON object with at least `message`."""
+    async def submit(self, request: DaemonRequest, deadline_s: float | None = None) -> Mapping[str, object]:
+        """Execute a request; return its response, a JSON object with at least `message`.
+
+        deadline_s: on the monotonic clock; the request does not begin later. Default: `EXECUTE_WITHIN_S` from now.
+        """
 
     @abstractmethod
     async def backgrounds(self) -> bytes:

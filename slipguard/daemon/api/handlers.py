@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.background_capture import BackgroundCapture
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.api.requests import (
+    EXECUTE_WITHIN_S,
     ActivateRequest,
     CalibrateRequest,
     DaemonRequest,
@@ -111,12 +113,14 @@ class RequestHandlers(DaemonApi):
         axis_deg = None if orientation_deg is None else wrap_axial_deg(orientation_deg - mounting_deg)
         return ContactOverlay(patch.mask, patch.left_px, patch.top_px, patch.image_size, patch.clipped, axis_deg)
 
-    async def submit(self, request: DaemonRequest) -> Mapping[str, object]:
+    async def submit(self, request: DaemonRequest, deadline_s: float | None = None) -> Mapping[str, object]:
+        loop = asyncio.get_running_loop()
+        deadline_s = loop.time() + EXECUTE_WITHIN_S if deadline_s is None else deadline_s
         match request:
             case CalibrateRequest():
                 return calibration_response(await self.calibrate(request))
             case ActivateRequest():
-                return {"message": await self._activate(request)}
+                return {"message": await self._activate(request, deadline_s)}
             case RestoreBackgroundRequest():
                 return {"message": await self._capture.restore(request)}
             case GraspRequest():
@@ -124,20 +128,23 @@ class RequestHandlers(DaemonApi):
                 if waiting:
                     raise CommandRefused(f"cannot grasp: not ready: {'; '.join(waiting)}")
                 self._capture.check_not_running()
-                await self._capture.check_calibrated()
+                async with _in_time(deadline_s, "grasp"):
+                    await self._capture.check_calibrated()
             case MoveJawsRequest():
                 self._capture.check_not_running()
-        return {"message": await self._service.request(controller_request(request))}
+        return {"message": await self._service.request(controller_request(request), deadline_s)}
 
-    async def _activate(self, request: ActivateRequest) -> str:
+    async def _activate(self, request: ActivateRequest, deadline_s: float) -> str:
         """Activate the gripper and wait until it is active; return a message."""
         self._capture.check_not_running()
-        if not request.force and (name := await self._capture.finger_in_contact()) is not None:
+        async with _in_time(deadline_s, "activate"):
+            name = None if request.force else await self._capture.finger_in_contact()
+        if name is not None:
             raise CommandRefused(
                 f"cannot activate: {name} finger is in contact, and a held object would drop; remove it, or use "
                 "--force if the gels are covered or taken off"
             )
-        await self._service.request(controller_request(request))
+        await self._service.request(controller_request(request), deadline_s)
         return await self._wait_until_active()
 
     async def _wait_until_active(self) -> str:
@@ -172,6 +179,18 @@ class RequestHandlers(DaemonApi):
             on_event(event)
         event_log.listeners.append(on_event)
         return lambda: event_log.listeners.remove(on_event)
+
+
+@contextlib.asynccontextmanager
+async def _in_time(deadline_s: float, verb: str) -> AsyncIterator[None]:
+    """Raise CommandRefused if the block, which reads stored images, takes too long."""
+    try:
+        async with asyncio.timeout_at(deadline_s):
+            yield
+    except TimeoutError:
+        raise CommandRefused(
+            f"cannot {verb}: the background images were not read within {EXECUTE_WITHIN_S:g} s; check the disk"
+        ) from None
 
 
 def controller_request(request: DaemonRequest) -> ControlRequest:

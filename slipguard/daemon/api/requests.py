@@ -11,6 +11,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 CALIBRATION_TIMEOUT_S = 30.0
 ACTIVATION_TIMEOUT_S = 20.0
+EXECUTE_WITHIN_S = 4.0
+"""A request that has not begun by then is never executed: the client is about to report it as failed."""
 
 Force = Annotated[float, Field(gt=0.0, le=235.0, description="Newtons per finger.")]
 Height = Annotated[float, Field(gt=0.0, le=2000.0, description="Millimeters.")]

@@ -11,10 +11,13 @@ REQUEST_TIMEOUT_S = 2.0
 
 
 class PendingRequest:
-    """One request whose caller waits for a response."""
+    """One request whose caller waits for a response.
 
-    def __init__(self, request: ControlRequest) -> None:
-        self.request = request
+    deadline_s: Loop time after which it is not executed.
+    """
+
+    def __init__(self, request: ControlRequest, deadline_s: float) -> None:
+        self.request, self.deadline_s = request, deadline_s
         self.response: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     def respond(self, message: str) -> None:
@@ -29,33 +32,47 @@ class PendingRequest:
 
 
 class RequestQueue:
-    """Requests in the order of their arrival."""
+    """Requests in the order of their arrival. What was reported as failed is never executed."""
 
     def __init__(self) -> None:
         self._pending: asyncio.Queue[PendingRequest] = asyncio.Queue()
 
-    async def submit(self, request: ControlRequest, wake: asyncio.Event) -> str:
-        """Add a request, wake the loop and return the response. Raises CommandRefused with the reason."""
-        pending = PendingRequest(request)
+    async def submit(self, request: ControlRequest, wake: asyncio.Event, deadline_s: float) -> str:
+        """Add a request, wake the loop and return the response.
+
+        Raises CommandRefused with the reason, also if no cycle has taken the request by `deadline_s` (loop time) or
+        within `REQUEST_TIMEOUT_S`.
+        """
+        loop = asyncio.get_running_loop()
+        now_s = loop.time()
+        if now_s >= deadline_s:
+            raise CommandRefused(f"{request.kind}: took too long to prepare and was not executed; send it again")
+        pending = PendingRequest(request, min(deadline_s, now_s + REQUEST_TIMEOUT_S))
         self._pending.put_nowait(pending)
         wake.set()
+        # Not `asyncio.timeout`: it could report a request as failed that a cycle has just executed.
+        timer = loop.call_at(pending.deadline_s, pending.refuse, _too_late(pending))
         try:
-            async with asyncio.timeout(REQUEST_TIMEOUT_S):
-                return await pending.response
-        except TimeoutError:
-            raise CommandRefused(
-                f"{request.kind}: the loop did not respond within {REQUEST_TIMEOUT_S:g} s; try again"
-            ) from None
+            return await pending.response
+        finally:
+            timer.cancel()
 
-    def next(self) -> PendingRequest | None:
-        """Return the oldest request whose caller still waits; one that was given up is not carried out later."""
+    def next(self, now_s: float) -> PendingRequest | None:
+        """Return the oldest request whose caller still waits and whose deadline has not passed; refuse the others."""
         while not self._pending.empty():
             pending = self._pending.get_nowait()
+            if now_s >= pending.deadline_s:
+                pending.refuse(_too_late(pending))
             if not pending.response.done():
                 return pending
         return None
 
     def refuse_all(self, reason: str) -> None:
         """Refuse every waiting request."""
-        while (pending := self.next()) is not None:
+        while not self._pending.empty():
+            pending = self._pending.get_nowait()
             pending.refuse(f"{pending.request.kind}: {reason}")
+
+
+def _too_late(pending: PendingRequest) -> str:
+    return f"{pending.request.kind}: the loop did not respond within {REQUEST_TIMEOUT_S:g} s; not executed, try again"

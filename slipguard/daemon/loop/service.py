@@ -8,6 +8,7 @@ of their own.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Mapping
 
 import structlog
@@ -141,9 +142,12 @@ class Service:
         """Use another configuration from the next cycle on (see `slipguard.daemon.reload`)."""
         self.config = config
 
-    async def request(self, request: ControlRequest) -> str:
-        """Pass a request to the controller and return its message. Raises CommandRefused with the reason."""
-        return await self._requests.submit(request, self._wake)
+    async def request(self, request: ControlRequest, deadline_s: float = math.inf) -> str:
+        """Pass a request to the controller and return its message.
+
+        Raises CommandRefused with the reason, also if no control step has taken it by `deadline_s` (loop time).
+        """
+        return await self._requests.submit(request, self._wake, deadline_s)
 
     def stop_arm(self, on_stopped: Callable[[], None]) -> None:
         """Stop the arm independently of the controller, before the service ends.
@@ -193,7 +197,7 @@ class Service:
 
     def _run_cycle(self, now_s: float) -> None:
         """Gather an observation, compute the control step, issue the command, publish the decision."""
-        pending = self._requests.next()
+        pending = self._requests.next(now_s)
         fresh, observation = self._gather(now_s, ControlRequest() if pending is None else pending.request)
         new = self._take_new_estimates()
         before = self._memory

@@ -64,17 +64,17 @@ async def test_a_request_that_reaches_the_daemon_too_late_is_not_executed(monkey
     reader, writer = await asyncio.open_connection(sock=ours)
     proxy = DaemonProxy(reader, writer)
     hearing = asyncio.create_task(proxy.run())
-    monkeypatch.setattr(daemon_proxy, "REQUEST_DELIVERY_S", 0.05)
+    monkeypatch.setattr(daemon_proxy, "EXECUTE_WITHIN_S", 0.05)
     monkeypatch.setattr(ReleaseRequest, "response_timeout_s", 0.1)
     with pytest.raises(SlipguardError, match="did not respond"):
         await proxy.submit(ReleaseRequest(confirm=True))
     there, back = await asyncio.open_connection(sock=theirs)
     serving_task = asyncio.create_task(serve_web_process(daemon, there, back))
     monkeypatch.undo()
-    monkeypatch.setattr(daemon_proxy, "REQUEST_DELIVERY_S", -1.0)
+    monkeypatch.setattr(daemon_proxy, "EXECUTE_WITHIN_S", -1.0)
     with pytest.raises(CommandRefused, match="release: reached the daemon too late and was not executed"):
         await proxy.submit(ReleaseRequest(confirm=True))
-    monkeypatch.setattr(daemon_proxy, "REQUEST_DELIVERY_S", 60.0)
+    monkeypatch.setattr(daemon_proxy, "EXECUTE_WITHIN_S", 60.0)
     assert await proxy.submit(ClearRequest()) == {"message": "clear: done"}
     assert daemon.requests == [ClearRequest()]
     for task in (hearing, serving_task):
