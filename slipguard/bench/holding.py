@@ -115,7 +115,6 @@ class HoldingResult:
 
     @property
     def mean_ms(self) -> float:
-        """Mean time of a frame."""
         return 1e3 * self.wall_s / max(self.frames, 1)
 
     @property

@@ -73,7 +73,6 @@ class PipelineResults:
         return estimate
 
     def run(self, processor: FrameProcessor, grasp: RenderedGrasp, shots: Iterable[GraspFrame]) -> None:
-        """Process all frames of a grasp."""
         errors = self.begin(grasp)
         for shot in shots:
             self.take(processor, shot, errors)
@@ -91,7 +90,6 @@ class PipelineResults:
             self.other_ms.append(spent_ms)
 
     def add(self, other: PipelineResults) -> None:
-        """Add the results of other grasps."""
         self.busy_ms += other.busy_ms
         self.empty_ms += other.empty_ms
         self.unchanged_ms += other.unchanged_ms
@@ -162,7 +160,6 @@ class PipelineResults:
 
 
 def declined_share(grasps: list[GraspErrors]) -> float | None:
-    """Return the share of declined frames."""
     compared = sum(one.compared for one in grasps)
     return 1.0 - sum(len(one.found) for one in grasps) / compared if compared else None
 

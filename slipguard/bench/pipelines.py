@@ -149,7 +149,6 @@ def with_timing_network() -> list[BenchPipeline]:
 
 
 def without_network() -> list[BenchPipeline]:
-    """Return the pipelines with background subtraction."""
     return [
         BenchPipeline("subtraction", "background subtraction", axis, None, "contract", "240×320", NO_SKIP)
         for axis in ("pca", "ellipse")

@@ -100,7 +100,6 @@ def _stages(axes: Any, found: BenchReport) -> None:
 
 
 def _quarters(axes: Any, found: BenchReport) -> None:
-    """Plot the error from the easiest quarter of the grasps to the hardest."""
     for row in (*found.pipelines, *found.peers):
         errors = row.turn_error_by_quartile_deg
         shown = row.skipping or row in found.peers

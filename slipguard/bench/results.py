@@ -178,13 +178,11 @@ def pareto_front(rows: Iterable[BenchRow]) -> set[str]:
 
 
 def quantile(values: Iterable[float], share: float) -> float | None:
-    """Return a quantile; None without values."""
     found = list(values)
     return float(np.quantile(found, share)) if found else None
 
 
 def mean(values: Iterable[float]) -> float | None:
-    """Return the mean; None without values."""
     found = list(values)
     return float(np.mean(found)) if found else None
 

@@ -251,7 +251,6 @@ def _samples(quick: bool) -> list[RenderedGrasp]:
 
 
 def _sample_results(pipeline: BenchPipeline, samples: list[RenderedGrasp]) -> PipelineResults:
-    """Process the sample frames with the paper's pipeline."""
     results = PipelineResults()
     for index, grasp in enumerate(samples):
         masks = {shot.frame.sequence: shot.mask for shot in grasp.shots if shot.mask is not None}

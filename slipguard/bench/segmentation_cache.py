@@ -25,7 +25,6 @@ class BenchClock:
         return time.perf_counter() + self._added_s
 
     def add(self, spent_s: float) -> None:
-        """Advance the clock by `spent_s`."""
         self._added_s += spent_s
 
 
@@ -48,7 +47,6 @@ class SegmentationCache:
         self.enabled = enabled
 
     def get(self, image: Image, compute: Callable[[Image], ProbabilityMap]) -> ProbabilityMap:
-        """Return the output of `compute` for this image."""
         if not self.enabled:
             return compute(image)
         known = self._known.get(id(image))
@@ -70,5 +68,4 @@ class CachedSegmenter:
         self.cache = SegmentationCache()
 
     def segment(self, image: Image, background: Image | None) -> ProbabilityMap:
-        """Return the segmenter's output."""
         return self.cache.get(image, lambda shown: self._segmenter.segment(shown, background))

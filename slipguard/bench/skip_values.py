@@ -71,7 +71,6 @@ def onsets(quick: bool) -> list[SlipOnset]:
 def measure_skips(
     quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], workers: Workers
 ) -> tuple[SkipResult, ...]:
-    """Measure every skip of the default pipeline."""
     trials = [_OnsetTrial(onset, default) for onset in onsets(quick)]
     delays = list(each(_delays, trials, Workers(jobs=1) if quick else workers))
     found = [
@@ -83,7 +82,6 @@ def measure_skips(
 
 
 def _no_contact(default: BenchPipeline, objects: int, delays: list[int | None]) -> SkipResult:
-    """Measure frames without contact with the gate, and with the network."""
     gated, plain = PipelineResults(), PipelineResults()
     missed = frames = 0
     without_gate = replace(default, skips=Skips(no_contact=False, unchanged=False))
@@ -145,7 +143,6 @@ def _detected(delays: list[int | None]) -> str:
 
 
 def _round(default: BenchPipeline, objects: tuple[str, ...]) -> SkipResult:
-    """Measure plain round contacts with and without thinning."""
     spent: dict[bool, PipelineResults] = {True: PipelineResults(), False: PipelineResults()}
     differ = 0
     for name in objects:

@@ -29,7 +29,6 @@ class Emulators(TyperGroup):
 
     @property
     def commands(self) -> MutableMapping[str, Any]:
-        """All emulators."""
         return {name: self.get_command(None, name) for name in _names()}
 
     @commands.setter
@@ -37,11 +36,9 @@ class Emulators(TyperGroup):
         self._built = {}
 
     def list_commands(self, ctx: object) -> list[str]:
-        """Return their names, sorted."""
         return _names()
 
     def get_command(self, ctx: object, cmd_name: str) -> Any:
-        """Return the emulator of this name; None if there is none."""
         if cmd_name not in self._built and cmd_name in _names():
             from slipguard.registry import load_emulator
 

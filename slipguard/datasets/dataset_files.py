@@ -170,7 +170,6 @@ def read_background(path: Path) -> Image:
 
 
 def png(image: Image) -> bytes:
-    """Return the image as the bytes of a PNG file."""
     _, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
     return data.tobytes()
 

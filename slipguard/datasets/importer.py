@@ -144,7 +144,6 @@ class _ConvertedPair:
 
 
 def _convert(pair: ImagePair) -> _ConvertedPair | str:
-    """Return the converted pair, or why it is unusable."""
     try:
         return _frame(pair)
     except (InputError, OSError) as error:

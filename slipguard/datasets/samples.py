@@ -174,7 +174,6 @@ def _press(rng: np.random.Generator, name: str) -> GelView:
 
 
 def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view: GelView) -> RenderedSample:
-    """Return the sample with random wear, contrast and compression."""
     image = truth.image
     if rng.random() < 0.25:
         image, background = _worn(rng, image, background)

@@ -52,7 +52,6 @@ class Intrinsics(BaseModel):
 
     @property
     def focal_px(self) -> float:
-        """Mean focal length."""
         return 0.5 * (self.fx_px + self.fy_px)
 
     def matrix(self) -> NDArray[np.float64]:

@@ -48,7 +48,6 @@ def prepare(out: Path, protocol: LiftProtocol, *, simulated: bool = False) -> li
 
 
 def recording_path(out: Path, lift: PlannedLift) -> Path:
-    """Return the path of a lift's recording."""
     return out / LIFTS / f"{lift.stem}.mcap"
 
 

@@ -82,7 +82,6 @@ class LiftResult:
     """Why the lift cannot be compared."""
 
     def as_json(self) -> dict[str, Any]:
-        """Return a plain dictionary."""
         return asdict(self)
 
 
@@ -290,7 +289,6 @@ def _score_masks(data: LiftData, result: LiftResult) -> None:
 
 
 def mask_of(one: TimedImage) -> NDArray[np.bool_]:
-    """Return the mask of an image, (320, 240) bool."""
     return np.asarray(one.image.pixels()[..., 0] > 127)
 
 

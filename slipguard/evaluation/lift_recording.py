@@ -127,7 +127,6 @@ class LiftRecorder:
             raise SlipguardError(f"{self._path}: not recorded ({why}); free disk space, then start again")
 
     def add(self, value: RecordedFrame | RecordedCycle | RecordedMessage) -> None:
-        """Write a value from the daemon."""
         if isinstance(value, RecordedCycle):
             self._write(lambda file: file.cycle(value.record), first=value)
         elif isinstance(value, RecordedFrame):
@@ -138,7 +137,6 @@ class LiftRecorder:
         self._write(lambda file: file.image(m.CAMERA, at_s, jpeg, "jpeg"))
 
     def truth(self, truth: m.TruthRecord) -> None:
-        """Write the truth of a simulated world."""
         self._write(lambda file: file.truth(truth))
 
     def true_mask(self, finger: str, at_s: float, mask: NDArray[np.uint8]) -> None:
@@ -162,7 +160,6 @@ class LiftRecorder:
 
 
 def encode_jpeg(image: NDArray[np.uint8]) -> bytes:
-    """Return a camera image as JPEG."""
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, CAMERA_QUALITY])[1].tobytes()
 
 
@@ -208,7 +205,6 @@ class LiftData:
     truth: list[m.TruthRecord] = field(default_factory=list)
 
     def phase_began_s(self, name: str) -> float | None:
-        """Return when a phase began first."""
         return next((at_s for at_s, phase in self.phases if phase == name), None)
 
     def true_rotations(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -276,5 +272,4 @@ def _attachment(recording: Recording, name: str, kind: type[M]) -> M:
 
 
 def lift_paths(folder: Path) -> Iterator[Path]:
-    """Yield the recordings of an experiment in order."""
     yield from sorted((folder / "lifts").glob("*.mcap"))

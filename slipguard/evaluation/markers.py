@@ -39,7 +39,6 @@ def cells(marker_id: int) -> NDArray[np.uint8]:
 
 
 def dictionary() -> cv2.aruco.Dictionary:
-    """Return the dictionary of both markers."""
     return cv2.aruco.getPredefinedDictionary(DICTIONARY)
 
 
@@ -67,7 +66,6 @@ def marker_sheet() -> PrintSheet:
 
 
 def charuco_sheet() -> PrintSheet:
-    """Return a sheet with the calibration board."""
     across, up = CHARUCO_SQUARES
     image = charuco().generateImage((across * 200, up * 200))
     title = (
@@ -95,7 +93,6 @@ def write_sheet(sheet: PrintSheet, path: Path) -> None:
 
 
 def _ruler(page: object) -> None:
-    """Draw a ruler of 100 mm."""
     axes = page.add_axes((20.0 / A4_MM[0], 4.0 / A4_MM[1], 100.0 / A4_MM[0], 8.0 / A4_MM[1]))  # type: ignore[attr-defined]
     axes.set_xlim(0.0, 100.0)
     axes.set_ylim(0.0, 8.0)

@@ -69,7 +69,6 @@ def lift_statistics(values: Sequence[float], seed: int = 0) -> LiftStatistics:
 
 
 def errors_of(lifts: list[LiftResult], estimator: str) -> list[float]:
-    """Return each comparable lift's mean error by one estimator."""
     means = [lift.errors[estimator].mean_deg for lift in lifts if estimator in lift.errors]
     return [mean for mean in means if mean is not None]
 
@@ -202,7 +201,6 @@ class SegmentationScore:
         return np.asarray(cv2.resize(probability, (image.shape[1], image.shape[0])) > self._segmenter.threshold)
 
     def as_json(self) -> dict[str, Any]:
-        """Return the JSON form."""
         return {
             "network": self.name,
             "n": len(self._ms),

@@ -140,7 +140,6 @@ def _with_contour(image: NDArray[np.uint8], mask: NDArray[np.bool_], color: tupl
 
 
 def _median_lifts(lifts: list[LiftResult]) -> list[LiftResult]:
-    """Return each object's lift of median error."""
     chosen = []
     for name in dict.fromkeys(lift.object for lift in lifts):
         ranked = sorted((lift for lift in lifts if lift.object == name), key=_fused_error)
@@ -154,7 +153,6 @@ def _fused_error(lift: LiftResult) -> float:
 
 
 def draw_trace(trace: RotationTrace, path: Path) -> None:
-    """Draw a rotation over time with its sigma."""
     page = plotting.figure(7.0, 3.0)
     axes = page.add_subplot()
     low, high = trace.rotation_deg - trace.sigma_deg, trace.rotation_deg + trace.sigma_deg

@@ -87,7 +87,6 @@ def random_camera(seed: int, rise_mm: float = 100.0) -> tuple[ExternalCameraMode
 
 
 def intrinsics_of(lens: LensModel) -> Intrinsics:
-    """Return the true intrinsics of the rendered camera."""
     u, v = lens.center_px
     return Intrinsics(
         width_px=lens.width_px, height_px=lens.height_px, fx_px=lens.focal_px, fy_px=lens.focal_px, cx_px=u, cy_px=v,

@@ -35,7 +35,6 @@ class PatchRecorder:
         self._patches = patches
 
     def process(self, frame: Frame) -> Estimate:
-        """Return the pipeline's estimate."""
         result = self._pipeline.process(frame)
         patch = self._pipeline.last_patch
         if patch is not None and result.skipped is None and self._pipeline.has_reference:
@@ -47,12 +46,10 @@ class PatchRecorder:
         self._pipeline.keep_estimate(captured_at_s)
 
     def reset_reference(self) -> None:
-        """Discard the reference."""
         self._pipeline.reset_reference()
 
     @property
     def last_patch(self) -> Patch | None:
-        """The contact found last."""
         return self._pipeline.last_patch
 
 

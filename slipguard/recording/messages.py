@@ -113,5 +113,4 @@ TRUTH_RECORD = Json(TruthRecord)
 
 
 def background_name(finger: str) -> str:
-    """Return the name of the attachment with the finger's background image."""
     return f"no_contact-{finger}.png"

@@ -124,7 +124,6 @@ class Recorder:
 
     @property
     def records_images(self) -> bool:
-        """Whether images are recorded."""
         return self._settings.image != "none"
 
     @property

@@ -173,7 +173,6 @@ class Retention:
         self.move()
 
     def file_began(self, now_s: float) -> None:
-        """Note that a file began."""
         self._keep_current = now_s <= self._until_s
 
     def file_ended(self, path: Path, last_s: float) -> None:
@@ -184,7 +183,6 @@ class Retention:
             self._ended.append((path, last_s))
 
     def move(self) -> None:
-        """Move the files to be kept."""
         while self._to_keep:
             if self._to_keep[0].exists():
                 self._ring.keep(self._to_keep[0])
@@ -222,7 +220,6 @@ def _delete_beyond(
 
 
 def _finished(path: Path) -> bool:
-    """Return whether the file ends with MCAP's magic bytes."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - len(MAGIC), 0))
         return file.read() == MAGIC

@@ -94,7 +94,6 @@ class RecordingFile:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes written so far."""
         return self._stream.tell()
 
     def image(self, source: str, at_s: float, encoded: bytes, kind: Literal["jpeg", "png"]) -> None:
@@ -110,19 +109,15 @@ class RecordingFile:
         self._image(m.TRUE_MASK_TOPIC[finger], finger, at_s, png, "png")
 
     def truth(self, truth: m.TruthRecord) -> None:
-        """Write the true state of a simulated world."""
         self._json(m.TRUTH_TOPIC, m.TRUTH_RECORD, truth, truth.now_s)
 
     def frame(self, finger: str, at_s: float, record: m.FrameRecord) -> None:
-        """Write the result of a finger's pipeline for one frame, ready at `at_s`."""
         self._json(m.JUDGED_TOPIC[finger], m.FRAME_RECORD, record, at_s)
 
     def cycle(self, record: m.CycleRecord) -> None:
-        """Write one cycle of the loop."""
         self._json(m.TICK_TOPIC, m.CYCLE_RECORD, record, record.now_s)
 
     def log(self, at_s: float, level: Level, text: str) -> None:
-        """Write one log message."""
         at_ns = self._clock.ns(at_s)
         message = Log(timestamp=_stamp(at_ns), level=_LEVELS[level], message=text, name="slipguard")
         self._add(m.LOG_TOPIC, Log, at_ns, message.SerializeToString())
@@ -162,7 +157,6 @@ class RecordingFile:
 
 @functools.cache
 def _descriptors(kind: Any) -> bytes:
-    """Return the schema of a protobuf message type."""
     descriptors: bytes = build_file_descriptor_set(kind).SerializeToString()
     return descriptors
 

@@ -54,7 +54,6 @@ class ArmPose:
 
 
 def pose(plant: ArmPlant, now_s: float) -> ArmPose:
-    """Return the pose at a time."""
     last = plant.segments[-1]
     if now_s >= last.start_s:
         return ArmPose(last.height_mm, 0.0, 0.0, False)
@@ -124,7 +123,6 @@ def _append(
 
 
 def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergency_stop: bool = False) -> ArmState:
-    """Return the state that the arm reports."""
     here = pose(plant, now_s)
     return ArmState(
         height_mm=here.height_mm,

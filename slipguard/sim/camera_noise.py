@@ -25,7 +25,6 @@ class CameraNoise:
         self._rng = np.random.default_rng(seed)
 
     def reseed(self, seed: int) -> None:
-        """Restart the sequence of windows."""
         self._rng = np.random.default_rng(seed)
 
     def next(self) -> Field:

@@ -64,7 +64,6 @@ class CellState:
 
 
 def step(cell: CellState, now_s: float, step_s: float, *, gripper_works: bool = True) -> CellState:
-    """Return the cell one step later, at `now_s`."""
     here = arm_plant.pose(cell.arm, now_s)
     placed = cell.present
     gripper = cell.gripper
@@ -180,7 +179,6 @@ class WorldTruth:
 
 
 def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
-    """Return the true state of the cell."""
     motion, placed = cell.motion, cell.placed
     sign = placed.scenario.lever_sign if placed is not None else 1
     start_deg = placed.scenario.angle_deg if placed is not None else 0.0

@@ -212,7 +212,6 @@ def _camera_pose(model: ExternalCameraModel) -> tuple[Points, Points]:
 
 
 def _background(lens: LensModel) -> NDArray[np.float32]:
-    """Return a gray wall above a table."""
     rows = np.linspace(0.0, 1.0, lens.height_px, dtype=np.float32)[:, None, None]
     columns = np.linspace(-1.0, 1.0, lens.width_px, dtype=np.float32)[None, :, None]
     wall = 150.0 - 50.0 * rows + 14.0 * columns

@@ -51,7 +51,6 @@ def encode_view(view: GelView, light_bgr: tuple[float, float, float], number: in
 
 
 def decode_view(image: NDArray[np.uint8]) -> tuple[GelView, tuple[float, float, float]]:
-    """Return view and light of an image made by `encode_view`."""
     values = np.frombuffer(image[0].tobytes()[: 8 * (len(_ENCODED_FIELDS) + 5)], np.float64)
     _, present, blue, green, red, *pose = (float(value) for value in values)
     return GelView(DECODED_NAME if present else "", *pose), (blue, green, red)

@@ -45,7 +45,6 @@ class GripperDynamics:
         return self.force_min_n + min(max(counts, 0), COUNTS) * self.force_step_n
 
     def quantized_width_mm(self, width_mm: float) -> float:
-        """Return the nearest width of the position register."""
         counts = round(min(max(width_mm, 0.0), self.width_max_mm) / self.width_step_mm)
         return min(counts * self.width_step_mm, self.width_max_mm)
 
@@ -195,7 +194,6 @@ def _lose(plant: GripperPlant, model: GripperDynamics, now_s: float) -> GripperP
 
 
 def _open(plant: GripperPlant, model: GripperDynamics, step_s: float) -> GripperPlant:
-    """Unload, then open."""
     if plant.force_n > 0.0:
         return replace(plant, force_n=max(plant.force_n - UNLOAD_N_S * step_s, 0.0))
     width_mm = min(plant.width_mm + model.speed_mm_s * step_s, plant.goal_mm)

@@ -31,12 +31,10 @@ def rotated(u: Field, v: Field, angle_deg: float, about: Point = (0.0, 0.0)) -> 
 
 
 def disc(u: Field, v: Field, radius: float, at: Point = (0.0, 0.0)) -> Field:
-    """Return the distance to a disc."""
     return f32(np.hypot(u - np.float32(at[0]), v - np.float32(at[1])) - np.float32(radius))
 
 
 def box(u: Field, v: Field, half_u: float, half_v: float, at: Point = (0.0, 0.0), corner: float = 0.0) -> Field:
-    """Return the distance to a rectangle with corners of radius `corner`."""
     x = np.abs(u - np.float32(at[0])) - np.float32(half_u - corner)
     y = np.abs(v - np.float32(at[1])) - np.float32(half_v - corner)
     outside = np.hypot(np.maximum(x, 0), np.maximum(y, 0))
@@ -74,12 +72,10 @@ def regular(u: Field, v: Field, sides: int, radius: float) -> Field:
 
 
 def union(*distances: Field) -> Field:
-    """Return the distance to the union."""
     return reduce(np.minimum, distances)
 
 
 def without(distance: Field, *holes: Field) -> Field:
-    """Return the distance to the first without the others."""
     return reduce(np.maximum, [-hole for hole in holes], distance)
 
 
@@ -115,7 +111,6 @@ def ridge(across: Field, slope: float, tip: float = 0.1) -> Field:
 
 
 def highest(*heights: Field) -> Field:
-    """Return the highest of several surfaces."""
     return reduce(np.maximum, heights)
 
 

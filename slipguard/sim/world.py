@@ -140,7 +140,6 @@ class World:
         return width_mm
 
     def command_release(self, now_s: float, width_mm: float) -> None:
-        """Open to a width."""
         now_s = self._advance(now_s)
         _check("width_mm", width_mm)
         if not self._gripper_faulty():
@@ -153,7 +152,6 @@ class World:
         self._put(replace(self._cell, gripper=gripper_plant.order_halt(self._cell.gripper)))
 
     def gripper_state(self, now_s: float) -> GripperState:
-        """Return the state that the gripper reports."""
         now_s = self._advance(now_s)
         fault = "internal fault" if self._gripper_faulty() else None
         state = gripper_plant.report(self._cell.gripper, now_s, fault)
@@ -176,12 +174,10 @@ class World:
         return speed_mm_s
 
     def command_stop(self, now_s: float) -> None:
-        """Brake the arm to rest."""
         now_s = self._advance(now_s)
         self._put(replace(self._cell, arm=arm_plant.order_stop(self._cell.arm, self.settings.arm, now_s)))
 
     def arm_state(self, now_s: float) -> ArmState:
-        """Return the state that the arm reports."""
         now_s = self._advance(now_s)
         active = self.faults.active("arm")
         return arm_plant.report(self._cell.arm, now_s, "protective_stop" in active, "emergency_stop" in active)

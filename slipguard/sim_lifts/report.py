@@ -24,7 +24,6 @@ LEGEND = (
 
 
 def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
-    """Return one lift as the object of a JSON line."""
     latencies_ms = 1e3 * np.asarray(record.latency_s)
     timed = realtime and latencies_ms.size > 0
     error = mean_abs(record.errors_deg(record.fused))

@@ -76,11 +76,9 @@ class _RotatedContacts(AxisEstimation):
         return self._patches[key]
 
     def fast(self, patch: Patch, timer: StageTimer) -> PatchAxes:
-        """Return the known axes of a patch."""
         return self._known_axes[id(patch)]
 
     def all(self, patch: Patch, fast: PatchAxes, timer: StageTimer) -> PatchAxes:
-        """Return the same axes."""
         return fast
 
 

@@ -129,7 +129,6 @@ DISTORTIONS: dict[str, Distortion] = {
 
 
 def unrelated_image(rng: np.random.Generator) -> Image:
-    """Return an image that does not show a gel."""
     kind = int(rng.integers(6))
     shape = (320, 240, 3)
     if kind == 0:

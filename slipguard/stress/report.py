@@ -90,7 +90,6 @@ def first_failures(outcome: StressOutcome) -> list[TrialFailure]:
 
 
 def command_for(failure: TrialFailure) -> str:
-    """Return the command that reproduces a failure."""
     return f"slipguard stress --only {failure.family} --seed {failure.seed}"
 
 

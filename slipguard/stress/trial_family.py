@@ -193,7 +193,6 @@ class TrialFamily:
 
 
 def generator(family: str, seed: int) -> np.random.Generator:
-    """Return the random number generator of one trial."""
     return np.random.default_rng(np.random.SeedSequence([seed, *family.encode()]))
 
 

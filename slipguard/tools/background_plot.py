@@ -19,7 +19,6 @@ GATE_SIGMA = 7.0
 
 
 def png_of(image: NDArray[np.uint8]) -> bytes:
-    """Return a (320, 240, 3) uint8 BGR image as PNG."""
     return cv2.imencode(".png", image)[1].tobytes()
 
 

@@ -44,7 +44,6 @@ class CellProcess:
         await self._line_with("ready", READY_S)
 
     async def order(self, line: str) -> str:
-        """Execute a command line and return its response."""
         assert self._process is not None
         assert self._process.stdin is not None
         self._process.stdin.write(line.encode() + b"\n")

@@ -89,19 +89,15 @@ class PlainOutput:
         self.name = name
 
     def ready(self, address: str) -> None:
-        """Print that clients can connect."""
         print(f"{self.name} emulated at {address}", flush=True)
 
     def event(self, event: Event) -> None:
-        """Print an event."""
         print(_event_line(event), flush=True)
 
     def response(self, text: str, *, refused: bool) -> None:
-        """Print the response to a command."""
         print(f"refused: {text}" if refused else text, flush=True)
 
     def state(self, state: Mapping[str, object]) -> None:
-        """Print the requested state."""
         self.response("\n".join(f"{key}: {value}" for key, value in state.items()), refused=False)
 
     def refresh(self, state: Mapping[str, object]) -> None:
@@ -109,7 +105,6 @@ class PlainOutput:
         return
 
     def close(self) -> None:
-        """End the output."""
         return
 
 

@@ -64,7 +64,6 @@ def _pipeline(segmenter: Segmenter, settings: PerceptionSettings, background: ND
 
 
 def as_json(measured: FrameMeasurement) -> dict[str, Any]:
-    """Return the object that `--json` prints for a frame."""
     estimate = measured.estimate
     return {
         "frame": measured.frame.name,

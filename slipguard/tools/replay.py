@@ -290,6 +290,5 @@ def recorded_settings(recording: Recording) -> RecordedSettings:
 
 
 def items_of(opened: list[Recording]) -> Iterator[RecordedItem]:
-    """Yield all messages of several recordings in order."""
     for recording in opened:
         yield from recording.items()

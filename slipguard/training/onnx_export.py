@@ -121,7 +121,6 @@ def write_checked(
 
 
 def open_session(path: Path, threads: int = 1) -> Any:
-    """Return an onnxruntime session of a file, on the CPU."""
     options = ort.SessionOptions()
     options.log_severity_level = 3
     options.intra_op_num_threads = threads

@@ -109,7 +109,6 @@ def _false_while_holding(held: Sequence[HoldOutcome]) -> int:
 
 
 def scenarios(found: GripCampaignResult) -> dict[str, object]:
-    """Return each trial and each hold, for grip.json."""
     played = [*found.trials, *found.gone, *found.high_need, *found.fragile]
     return {
         "trials": [_trial(one) for one in played],
@@ -202,7 +201,6 @@ class FigureLimit:
 
     @property
     def allowed(self) -> str:
-        """The limit as text."""
         return f"≤ {self.at_most:g}" if self.at_most is not None else f"≥ {self.at_least:g}"
 
     def holds(self, value: float | None) -> bool:
@@ -241,7 +239,6 @@ class LimitCheck:
         return self.bound.holds(self.value)
 
     def as_json(self) -> dict[str, object]:
-        """Return the check for the public JSON."""
         return {
             "key": self.bound.key,
             "allowed": self.bound.allowed,
@@ -252,7 +249,6 @@ class LimitCheck:
 
 
 def checks(figures: Mapping[str, Any]) -> list[LimitCheck]:
-    """Return the checks of all limits, from the figures of `as_json`."""
     parts: dict[str, Mapping[str, Any]] = {
         "stiff": figures["by_gel"].get("stiff") or {},
         "soft": figures["by_gel"].get("soft") or {},

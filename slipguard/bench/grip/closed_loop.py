@@ -116,7 +116,6 @@ class ClosedLoop:
         self._schedule_step()
 
     def ask(self, request: ControlRequest) -> None:
-        """Pass a request to the controller now."""
         self._request = request
         self._decide()
 
@@ -132,16 +131,13 @@ class ClosedLoop:
         return False
 
     def wait(self, seconds: float) -> None:
-        """Run for a time."""
         self.until(lambda: False, seconds)
 
     def later(self, when_s: float, action: Callable[[], None]) -> None:
-        """Schedule an action."""
         self._order += 1
         heapq.heappush(self._events, (max(when_s, self.now_s), self._order, action))
 
     def truth(self) -> WorldTruth:
-        """Return the simulated truth now."""
         return self.world.truth(self.now_s)
 
     def _schedule_step(self) -> None:

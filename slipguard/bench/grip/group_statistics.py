@@ -59,7 +59,6 @@ class GripRow:
     early: float
 
     def as_json(self) -> dict[str, object]:
-        """Return the statistics for the public JSON."""
         return {
             "scenarios": self.count,
             "slip_deg_median": {JSON_NAMES[name]: round(slip_deg, 3) for name, slip_deg in self.slips_deg.items()},
@@ -79,7 +78,6 @@ class GripRow:
 
 
 def row(title: str, played: Sequence[TrialOutcomes]) -> GripRow:
-    """Return the statistics of at least one trial."""
     over = ratios(played, "slipguard", "oracle")
     arrests = [
         one.slipguard.arrested_s
@@ -107,18 +105,15 @@ def row(title: str, played: Sequence[TrialOutcomes]) -> GripRow:
 
 
 def by_first_grip(played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """Return the statistics for each first grip."""
     parts = [(f"grip {share:.2f}", [one for one in played if one.trial.share == share]) for share in SHARES]
     return [row(title, part) for title, part in parts if part]
 
 
 def by_gel(played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """Return the statistics for each gel."""
     return [row(f"{gel} gel", part) for gel in GELS if (part := of_gel(played, gel))]
 
 
 def of_gel(played: Sequence[TrialOutcomes], gel: str) -> list[TrialOutcomes]:
-    """Return the trials on one gel."""
     return [one for one in played if one.trial.soft is GELS[gel]]
 
 
@@ -169,10 +164,8 @@ def _slipguard_outcomes(one: TrialOutcomes) -> list[TrialOutcome]:
 
 
 def median(values: Sequence[float]) -> float | None:
-    """Return the median; None without values."""
     return float(np.median(values)) if values else None
 
 
 def rounded(value: float | None) -> float | None:
-    """Return the value with three decimals."""
     return None if value is None else round(value, 3)

@@ -55,7 +55,6 @@ class RotationDrift:
     phase: float = 0.0
 
     def at(self, now_s: float) -> float:
-        """Return the error in degrees."""
         return self.deg * math.sin(2.0 * math.pi * (now_s / self.period_s) + self.phase)
 
 
@@ -85,11 +84,9 @@ class ModeledFinger:
         self._areas.clear()
 
     def add_outliers(self, outliers: RotationOutliers) -> None:
-        """Set the frames with errors."""
         self._off = deque((time_s, outliers.deg) for time_s in outliers.times_s)
 
     def process(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
-        """Return an estimate of the frame exposed now."""
         contact = view.depth_mm > 0.0 and view.object_name != ""
         plain = Estimate(sequence, captured_at_s, captured_at_s, contact, 4000 if contact else 0, "model")
         if not contact:
@@ -165,7 +162,6 @@ class RenderedFinger:
         self._pipeline.reset_reference()
 
     def process(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
-        """Return the pipeline's estimate of the frame exposed now."""
         if self._began_s is None:
             self._began_s = captured_at_s
         levels = LIGHT_LEVELS_S * (captured_at_s - self._began_s)

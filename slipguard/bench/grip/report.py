@@ -118,7 +118,6 @@ def _all_rows(played: Sequence[TrialOutcomes]) -> list[GripRow]:
 
 
 def _split(title: str, played: Sequence[TrialOutcomes]) -> list[GripRow]:
-    """Return rows by gel and of all."""
     rows = [*by_gel(played), row("all", played)] if played else []
     return [_titled(one, f"{title}, {one.title}" if title else one.title) for one in rows]
 
@@ -147,7 +146,6 @@ def _table(title: str, lines: list[GripRow], columns: dict[str, Callable[[GripRo
 
 
 def _limits_table(figures: dict[str, Any]) -> Table:
-    """Return a table of the limits, with the values of all trials and of each group."""
     table = _plain("limits", ("", "limit", "all", *GROUPS, "kept"))
     for check in checks(figures):
         values = [check.value, *(check.groups[group] for group in GROUPS)]

@@ -26,7 +26,6 @@ CLOSING_MAX_S = 6.0
 
 
 def world_of(trial: GripTrial, step_s: float = 1e-3) -> World:
-    """Return a world with the object between open jaws."""
     settings = WorldSettings(step_s=step_s, start_width_mm=trial.item.width_mm + ROOM_MM)
     world = World(settings, seed=trial.number, lookup=lambda name: trial.item)
     world.place(trial.scenario, START_S)
@@ -34,7 +33,6 @@ def world_of(trial: GripTrial, step_s: float = 1e-3) -> World:
 
 
 def modeled_finger(trial: GripTrial, finger: int, drift: RotationDrift | None = None) -> ModeledFinger:
-    """Return a finger with the errors of the shipped pipeline on this object."""
     error = PERCEPTION_ERRORS.get(trial.item.name, PerceptionErrors())
     return ModeledFinger(error, np.random.default_rng([trial.number, finger]), drift)
 
@@ -101,7 +99,6 @@ class TrialOutcome:
 
     @property
     def force_over_needed(self) -> float:
-        """Largest true force relative to the needed force."""
         return self.force_n / self.needed_n
 
 
@@ -134,7 +131,6 @@ def trial_params(params: GuardParams, trial: GripTrial) -> GuardParams:
 
 
 def lift_mm(trial: GripTrial) -> float:
-    """Return the height of the lift."""
     return LIFT_MM if trial.block == "matrix" else HIGH_MM
 
 

@@ -71,18 +71,15 @@ class GripTrial:
 
     @property
     def force_max_n(self) -> float:
-        """The force limit."""
         return force_limit_n(self.block)
 
     @property
     def name(self) -> str:
-        """The name in messages."""
         gel = "soft" if self.soft else "stiff"
         return f"trial {self.number}: {self.item.name}, {self.share:g} of {self.needed_n:.0f} N, {gel} gel"
 
 
 def force_limit_n(block: Block) -> float:
-    """Return `force_max_n` in a block."""
     return FRAGILE_MAX_N if block == "fragile" else GuardParams().force_max_n
 
 
