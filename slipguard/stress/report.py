@@ -16,6 +16,7 @@ from slipguard.stress.shape_families import ASPECT
 from slipguard.stress.trial_family import FailureKind, FamilyResults, TrialFailure, TrialFamily
 from slipguard.tools import plotting
 
+PLOT = "error-against-noise.png"
 SHOWN_FAILURES = 10
 SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg")
 """Keys of `as_json` that `--json` prints; `stress.json` in the --out folder contains all of them."""
@@ -125,7 +126,7 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
     console.print(
         f"{sum(results.tried for results in outcome.results):,} trials in {outcome.spent_s:.0f} s: "
         f"{100.0 * _done_hours(outcome) / hours:.3g} % of the full list, which takes about {hours:.2g} h on one core "
-        "(--seconds 0)"
+        "(the campaign stress-list)"
     )
     firsts = first_failures(outcome)
     for one in firsts[:SHOWN_FAILURES]:

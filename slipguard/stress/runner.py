@@ -1,4 +1,4 @@
-"""Run trial families: for a limited time in one process, or the full list in parallel batches."""
+"""Run trial families for a limited time."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import heapq
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from slipguard.stress.numeric_families import FLOATS, FUSION, TIMES
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.shape_families import EQUIVARIANCE, NOISE, ROUND, SEAMS
 from slipguard.stress.trial_family import FamilyResults, TrialFailure, TrialFamily, TrialFunction, generator
-from slipguard.tools.parallel import Workers, each
 
 FAMILIES: tuple[TrialFamily, ...] = (
     DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUND, FLOATS, FUSION, TIMES, DRIFTING, HOLD, TEXTURES, IMAGES,
@@ -27,8 +25,6 @@ FAMILIES: tuple[TrialFamily, ...] = (
 
 MIN_JUDGED_TRIALS = 60
 """From this many trials or frames on, the share of answered estimates of a family is checked."""
-BATCH_MS = 10_000.0
-"""Estimated time of one batch: short, so that all cores stay busy to the end and an interrupt loses little."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,67 +112,12 @@ def run(
                 progress(min(spent_s / seconds, 1.0), family.name)
             if index not in begun:
                 begun[index] = family.begin(product)
-            _run_trial(family, begun[index], seed, number, results[index])
+            run_trial(family, begun[index], seed, number, results[index])
     return StressOutcome(seed, clock() - started_s, tuple(families), results)
 
 
-def _run_trial(family: TrialFamily, trial: TrialFunction, seed: int, number: int, results: FamilyResults) -> None:
+def run_trial(family: TrialFamily, trial: TrialFunction, seed: int, number: int, results: FamilyResults) -> None:
     """Run trial `number` of a run that began at `seed`; an exception that it does not catch is a crash, too."""
     results.seed = seed if family.continuous else seed + number
     results.call("trial", trial, generator(family.name, seed + number), seed + number, results)
     results.tried += family.frames
-
-
-@dataclass(frozen=True, slots=True)
-class TrialBatch:
-    """Trials `first` to `after - 1` of a family."""
-
-    family: TrialFamily
-    first: int
-    after: int
-
-    def __str__(self) -> str:
-        return f"{self.family.name}, trials {self.first} to {self.after - 1}"
-
-
-def batches(families: Sequence[TrialFamily]) -> list[TrialBatch]:
-    """Split the full list into batches, ordered so that all families progress alike; a continuous one is not split."""
-    found: list[TrialBatch] = []
-    for family in families:
-        size = family.full if family.continuous else max(1, round(BATCH_MS / family.cost_ms))
-        found += [TrialBatch(family, first, min(first + size, family.full)) for first in range(0, family.full, size)]
-    return sorted(found, key=lambda batch: batch.first / batch.family.full)
-
-
-def run_full_list(
-    families: Sequence[TrialFamily],
-    seed: int,
-    product: ProductFunctions | None = None,
-    workers: Workers | None = None,
-    progress: Callable[[float, str], None] = lambda share, name: None,
-    clock: Callable[[], float] = time.perf_counter,
-) -> Iterator[StressOutcome]:
-    """Run the full list in batches; yield the results so far after each batch, and so finally all of them.
-
-    Trial k of a family has the seed `seed + k`, in whichever process it runs. progress: called with the share done and
-    the family's name.
-    """
-    started_s = clock()
-    found = {family.name: FamilyResults(family.name) for family in families}
-    split = batches(families)
-    total_ms = sum(family.full * family.cost_ms for family in families)
-    done_ms = 0.0
-    for batch, results in zip(split, each(partial(_run_batch, seed, product), split, workers), strict=True):
-        found[batch.family.name].merge(results)
-        done_ms += (batch.after - batch.first) * batch.family.cost_ms
-        progress(done_ms / total_ms, batch.family.name)
-        yield StressOutcome(seed, clock() - started_s, tuple(families), tuple(found.values()))
-
-
-def _run_batch(seed: int, product: ProductFunctions | None, batch: TrialBatch) -> FamilyResults:
-    results = FamilyResults(batch.family.name)
-    with np.errstate(all="ignore"):  # as in `run`
-        trial = batch.family.begin(ProductFunctions() if product is None else product)
-        for number in range(batch.first, batch.after):
-            _run_trial(batch.family, trial, seed, number, results)
-    return results

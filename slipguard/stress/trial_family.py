@@ -140,28 +140,6 @@ class FamilyResults:
         else:
             point.errors_deg.append(error_deg)
 
-    def merge(self, later: FamilyResults) -> None:
-        """Add the results of later trials of the same family."""
-        self.tried += later.tried
-        self.estimated += later.estimated
-        self.declined += later.declined
-        both = [*self.failures, *later.failures]
-        firsts = {one.kind: one for one in reversed(both)}
-        self.failures = [one for k, one in enumerate(both) if k < KEPT_FAILURES or one is firsts[one.kind]]
-        self.counts += later.counts
-        for mine, others in (
-            (self.worst_deg, later.worst_deg),
-            (self.worst_sigmas, later.worst_sigmas),
-            (self.largest, later.largest),
-        ):
-            for what, value in others.items():
-                mine[what] = max(mine.get(what, value), value)
-        for curve, levels in later.curves.items():
-            for level, added in levels.items():
-                point = self.curves.setdefault(curve, {}).setdefault(level, CurvePoint())
-                point.errors_deg += added.errors_deg
-                point.declined += added.declined
-
 
 TrialFunction = Callable[[np.random.Generator, int, FamilyResults], None]
 """Runs one trial: (random numbers, seed, results). The seed selects the case where a family has a list of cases."""
