@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +18,9 @@ from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, InputError
 from slipguard.sim.contact_label import closed_region
 from slipguard.sim.raster import f32
+
+if TYPE_CHECKING:
+    from slipguard.daemon.api.client import Client
 
 Image = NDArray[np.uint8]
 
@@ -89,25 +92,6 @@ class SensorImage:
     sequence: int
 
 
-class FrameSource(Protocol):
-    """A client of a running daemon, as `slipguard.daemon.api.client`."""
-
-    def frame(self, finger: str) -> DaemonFrame: ...
-
-
-class DaemonFrame(Protocol):
-    """The daemon's response."""
-
-    @property
-    def png(self) -> bytes: ...
-
-    @property
-    def serial(self) -> str: ...
-
-    @property
-    def sequence(self) -> int: ...
-
-
 async def record_dataset(
     out_dir: Path,
     images: AsyncIterator[SensorImage],
@@ -152,7 +136,7 @@ async def record_dataset(
     return touched
 
 
-async def from_daemon(source: FrameSource, fingers: list[str], every_s: float) -> AsyncIterator[SensorImage]:
+async def from_daemon(source: Client, fingers: list[str], every_s: float) -> AsyncIterator[SensorImage]:
     """Yield the frames of a running daemon, finger by finger, each once.
 
     Raises CommandRefused if a finger has no frame for a while.

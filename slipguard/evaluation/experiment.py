@@ -25,7 +25,7 @@ from slipguard.tools.parallel import Workers, each
 
 PROTOCOL = "protocol.json"
 LIFTS = "lifts"
-ANALYSIS = 2
+ANALYSIS = 3
 """Version of the analysis: increase it when the same recording yields other figures."""
 
 

@@ -40,10 +40,7 @@ class RotationErrors:
 
     n: int = 0
     mean_deg: float | None = None
-    rms_deg: float | None = None
     worst_deg: float | None = None
-    final_deg: float | None = None
-    """At the end of the lift, signed."""
 
 
 @dataclass(slots=True)
@@ -60,12 +57,9 @@ class LiftResult:
     final_rotation_deg: float | None = None
     """Measured by the markers."""
     lag_s: float = 0.0
-    lag_sigma_s: float = 0.0
     lag_unknown: str | None = None
     lag_error_frames: float | None = None
-    camera_frames: int = 0
     camera_gaps: int = 0
-    camera_rms_px: float | None = None
     marker_error_mean_deg: float | None = None
     marker_error_worst_deg: float | None = None
     declined_share: float = 0.0
@@ -103,8 +97,7 @@ def analyze(data: LiftData) -> LiftResult:
     fused = np.array(data.fused).reshape(-1, 3)
     try:
         trace = _marker_rotations(data, began_s)
-        result.camera_frames, result.camera_gaps = len(trace.time_s), trace.gaps
-        result.camera_rms_px = trace.rms_px
+        result.camera_gaps = trace.gaps
         lag = find_lag(
             trace.time_s, trace.rotation_deg, fused[:, 0], fused[:, 1], LAG_MAX_S if data.camera else VIDEO_LAG_MAX_S
         )
@@ -186,7 +179,7 @@ def _marker_rotations(data: LiftData, began_s: float) -> RotationTrace:
 
 def _set_lag(data: LiftData, result: LiftResult, lag: ClockLag, trace: RotationTrace) -> None:
     """Store the lag in the result. Raises InputError if there is no common clock without it."""
-    result.lag_s, result.lag_sigma_s, result.lag_unknown = lag.lag_s, lag.sigma_s, lag.why
+    result.lag_s, result.lag_unknown = lag.lag_s, lag.why
     if lag.why is not None and (not data.camera or not data.fused):
         raise InputError(
             f"the lag between video and fingers cannot be determined ({lag.why}), so there is no common clock"
@@ -213,9 +206,7 @@ def _statistics(error: Array) -> RotationErrors:
     if not error.size:
         return RotationErrors()
     size = np.abs(error)
-    return RotationErrors(
-        error.size, float(size.mean()), float(np.sqrt((error**2).mean())), float(size.max()), float(error[-1])
-    )
+    return RotationErrors(error.size, float(size.mean()), float(size.max()))
 
 
 def _check_sigma(result: LiftResult, error: Array, sigma_deg: Array) -> None:

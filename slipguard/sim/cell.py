@@ -150,7 +150,6 @@ class WorldTruth:
 
     Attributes:
         rotation_deg: elastic_deg (reversible torsion of the gel) + slip_deg.
-        right_rotation_deg, right_angle_deg: the same in the right image.
         slip_mm, slip_rate_mm_s: translational slip, downwards.
         needed_force_n: per finger, to hold the level object at rest.
         load_n: tangential load per finger.
@@ -163,8 +162,6 @@ class WorldTruth:
     slip_deg: float
     rate_deg_s: float
     angle_deg: float
-    right_rotation_deg: float
-    right_angle_deg: float
     slip_mm: float
     slip_rate_mm_s: float
     force_n: float
@@ -192,8 +189,6 @@ def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
         slip_deg=rotation_deg - elastic_deg,
         rate_deg_s=sign * math.degrees(motion.rate_rad_s),
         angle_deg=start_deg + rotation_deg,
-        right_rotation_deg=-rotation_deg,
-        right_angle_deg=-start_deg - rotation_deg,
         slip_mm=1e3 * motion.slip_m,
         slip_rate_mm_s=1e3 * motion.slip_m_s,
         force_n=cell.gripper.force_n,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 
 from slipguard.devices import ArmState, GripperState
 from slipguard.errors import CommandRefused, InputError
@@ -190,18 +190,8 @@ class World:
     def camera(self, finger: str) -> CameraModel:
         """Return the camera of a finger, "left" or "right"; serial and unit never change."""
         _sign(finger)
-        now = self._deliveries[finger]
-        return CameraModel(
-            fps=now.fps,
-            latency_s=now.latency_s,
-            jitter_s=now.jitter_s,
-            drop_probability=now.drop_probability,
-            duplicate_probability=now.duplicate_probability,
-            light_drift_bgr=now.light_drift_bgr,
-            noise_seed=now.noise_seed,
-            serial=f"SIM-{finger[0].upper()}",
-            unit_seed=2 * self.seed + (finger == "right"),
-        )
+        serial, unit_seed = f"SIM-{finger[0].upper()}", 2 * self.seed + (finger == "right")
+        return CameraModel(**asdict(self._deliveries[finger]), serial=serial, unit_seed=unit_seed)
 
     def view(self, finger: str, now_s: float) -> GelView:
         """Return the view of a finger's camera; `depth_mm` <= 0 without contact, name "" without an object."""

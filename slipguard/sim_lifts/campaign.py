@@ -173,7 +173,7 @@ async def _one_lift(
     record.ended_at_s = loop.time()
     if dropped():
         record.outcome, record.why = "dropped", str(world.truth(loop.time()).dropped)
-        record.ended_at_s = record.truth.time_s[-1]
+        record.ended_at_s = record.truth[-1].time_s
     elif service.phase is Phase.FAULT and service.state.fault is not None:
         record.why = str(service.state.fault.code)
     record.deadlines_missed = service.deadlines_missed - missed_before
@@ -195,12 +195,7 @@ def _watched(
         timers[0] = loop.call_later(TRUTH_STEP_S, sample_truth)
         truth = world.truth(loop.time())
         if truth.dropped is None and truth.object_name is not None:
-            log = record.truth
-            log.time_s.append(truth.time_s)
-            log.rotation_deg.append(truth.rotation_deg)
-            log.force_n.append(truth.force_n)
-            log.needed_n.append(truth.needed_force_n)
-            log.height_mm.append(truth.height_mm)
+            record.truth.append(truth)
         progress.true_rotation_deg, progress.force_n = truth.rotation_deg, truth.force_n
 
     def decided(decision: Decision) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.estimate import Estimate
+from slipguard.sim.world import WorldTruth
 
 FINGERS = ("left", "right")
 IMAGE_SIGN = {"left": 1.0, "right": -1.0}
@@ -16,21 +17,6 @@ IMAGE_SIGN = {"left": 1.0, "right": -1.0}
 
 MIN_ROTATION_DEG = 10.0
 """Rotation errors are computed for lifts whose true rotation reached this."""
-
-
-@dataclass(slots=True)
-class LiftTruth:
-    """The simulated truth over time."""
-
-    time_s: list[float] = field(default_factory=list)
-    rotation_deg: list[float] = field(default_factory=list)
-    force_n: list[float] = field(default_factory=list)
-    needed_n: list[float] = field(default_factory=list)
-    height_mm: list[float] = field(default_factory=list)
-
-    def rotation_at(self, when_s: float | NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the true rotation in the left image, interpolated linearly."""
-        return np.asarray(np.interp(when_s, self.time_s, self.rotation_deg), np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +34,7 @@ class LiftRecord:
 
     object_name: str
     hard: str = ""
-    truth: LiftTruth = field(default_factory=LiftTruth)
+    truth: list[WorldTruth] = field(default_factory=list)
     estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
     fused: list[EstimatedRotation] = field(default_factory=list)
     other_estimators: dict[str, list[list[EstimatedRotation]]] = field(default_factory=dict)
@@ -74,7 +60,7 @@ class LiftRecord:
     @property
     def true_rotation_deg(self) -> float:
         """Largest true rotation since the grip, in degrees, with the sign of the left image."""
-        rotations = np.asarray(self.truth.rotation_deg)[np.asarray(self.truth.time_s) <= self.ended_at_s]
+        rotations = np.array([now.rotation_deg for now in self.truth if now.time_s <= self.ended_at_s])
         if rotations.size == 0:
             return 0.0
         since = rotations - rotations[0]
@@ -91,10 +77,10 @@ class LiftRecord:
     def errors_deg(self, estimated: list[EstimatedRotation]) -> NDArray[np.float64]:
         """Return estimated minus true rotation, both since the first estimate, for frames before the end."""
         estimated = [one for one in estimated if one.captured_at_s <= self.ended_at_s]
-        if not estimated or not self.truth.time_s:
+        if not estimated or not self.truth:
             return np.empty(0)
         when_s = np.array([one.captured_at_s for one in estimated])
-        true_deg = self.truth.rotation_at(when_s)
+        true_deg = np.interp(when_s, [now.time_s for now in self.truth], [now.rotation_deg for now in self.truth])
         estimated_deg = np.array([one.rotation_deg for one in estimated], np.float64)
         return np.asarray(estimated_deg - (true_deg - true_deg[0]), np.float64)
 
@@ -126,11 +112,11 @@ class SourceRotationErrors:
     """Rotation errors of one source (a finger, the fused rotation, an estimator) over all lifts that count."""
 
     source: str
-    lifts: int
-    mean_deg: float | None
-    worst_object_deg: float | None
-    worst_object: str | None
-    p95_deg: float | None
+    lifts: int = 0
+    mean_deg: float | None = None
+    p95_deg: float | None = None
+    worst_object_deg: float | None = None
+    worst_object: str | None = None
 
 
 def rotation_errors(records: list[LiftRecord], source: str) -> SourceRotationErrors:
@@ -149,14 +135,13 @@ def rotation_errors(records: list[LiftRecord], source: str) -> SourceRotationErr
         if errors.size:
             per_object.setdefault(record.object_name, []).append(errors)
     if not per_object:
-        return SourceRotationErrors(source, 0, None, None, None, None)
+        return SourceRotationErrors(source)
     means = {name: float(np.mean(np.abs(np.concatenate(parts)))) for name, parts in per_object.items()}
     every = np.abs(np.concatenate([part for parts in per_object.values() for part in parts]))
     worst = max(means, key=lambda name: means[name])
     lifts = sum(len(parts) for parts in per_object.values())
-    return SourceRotationErrors(
-        source, lifts, float(every.mean()), means[worst], worst, float(np.percentile(every, 95))
-    )
+    p95_deg = float(np.percentile(every, 95))
+    return SourceRotationErrors(source, lifts, float(every.mean()), p95_deg, means[worst], worst)
 
 
 def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:

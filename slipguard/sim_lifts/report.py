@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -38,8 +39,8 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
         "measured_turn_deg": round(peak_deg, 2) if rotations_deg else None,
         "turn_error_deg": None if error is None else round(error, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
-        "peak_force_n": round(max(record.truth.force_n, default=0.0), 1),
-        "needed_force_n": round(max(record.truth.needed_n, default=0.0), 1),
+        "peak_force_n": round(max((now.force_n for now in record.truth), default=0.0), 1),
+        "needed_force_n": round(max((now.needed_force_n for now in record.truth), default=0.0), 1),
         "latency_p50_ms": round(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
         "latency_p99_ms": round(float(np.percentile(latencies_ms, 99)), 2) if timed else None,
         "frames": record.frames,
@@ -53,21 +54,7 @@ def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
     for record in records:
         print(json.dumps({"lift": record_line(record, realtime=realtime)}))
     for source in (*FINGERS, "fused", *ESTIMATORS):
-        errors = rotation_errors(records, source)
-        print(
-            json.dumps(
-                {
-                    "turn_errors": {
-                        "source": source,
-                        "lifts": errors.lifts,
-                        "mean_deg": errors.mean_deg,
-                        "p95_deg": errors.p95_deg,
-                        "worst_object_deg": errors.worst_object_deg,
-                        "worst_object": errors.worst_object,
-                    }
-                }
-            )
-        )
+        print(json.dumps({"turn_errors": asdict(rotation_errors(records, source))}))
     print(json.dumps({"summary": summary(records, realtime=realtime)}), flush=True)
 
 
@@ -157,12 +144,10 @@ def draw(records: list[LiftRecord], path: Path) -> None:
             continue
         record = records[index]
         upper, lower = place.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-        truth_s = np.asarray(record.truth.time_s)
-        start_s = truth_s[0] if truth_s.size else 0.0
-        rotation = np.asarray(record.truth.rotation_deg)
-        upper.plot(
-            truth_s - start_s, rotation - (rotation[0] if rotation.size else 0.0), color="black", lw=2.2, label="true"
-        )
+        start_s = record.truth[0].time_s if record.truth else 0.0
+        truth_s = [now.time_s - start_s for now in record.truth]
+        rotations_deg = [now.rotation_deg - record.truth[0].rotation_deg for now in record.truth]
+        upper.plot(truth_s, rotations_deg, color="black", lw=2.2, label="true")
         for finger, color in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
             estimated = record.measured(finger)
             upper.plot(
@@ -183,8 +168,8 @@ def draw(records: list[LiftRecord], path: Path) -> None:
         upper.set_ylabel("rotation / °")
         upper.grid(alpha=0.3)
         upper.set_title(f"{record.object_name}: {record.outcome}", fontsize=10)
-        lower.plot(truth_s - start_s, record.truth.force_n, color="tab:green", label="grip, per finger")
-        lower.plot(truth_s - start_s, record.truth.needed_n, color="tab:gray", ls="--", label="needed")
+        lower.plot(truth_s, [now.force_n for now in record.truth], color="tab:green", label="grip, per finger")
+        lower.plot(truth_s, [now.needed_force_n for now in record.truth], color="tab:gray", ls="--", label="needed")
         lower.set_ylabel("force / N")
         lower.set_xlabel("time / s")
         lower.set_ylim(bottom=0)

@@ -35,8 +35,6 @@ from slipguard.sim.world import World, WorldTruth
 STEP_S = 0.01
 FINGERS = ("left", "right")
 NOTHING = ControlRequest()
-TRANSLATES_MM_S = 0.5
-"""Above this rate a slipping object translates; slower motion ends within a micrometer."""
 
 
 class FingerModel(Protocol):
@@ -55,26 +53,6 @@ class GripController(Protocol):
     def decide(self, observation: Observation) -> StepOutput: ...
 
 
-@dataclass(slots=True)
-class LoopTrace:
-    """The course of a run, one sample per control step."""
-
-    time_s: list[float] = field(default_factory=list)
-    rotation_deg: list[float] = field(default_factory=list)
-    slip_deg: list[float] = field(default_factory=list)
-    translating: list[bool] = field(default_factory=list)
-    force_n: list[float] = field(default_factory=list)
-    target_n: list[float] = field(default_factory=list)
-
-    def add(self, truth: WorldTruth) -> None:
-        self.time_s.append(truth.time_s)
-        self.rotation_deg.append(truth.rotation_deg)
-        self.slip_deg.append(truth.slip_deg)
-        self.translating.append(truth.slipping and abs(truth.slip_rate_mm_s) > TRANSLATES_MM_S)
-        self.force_n.append(truth.force_n)
-        self.target_n.append(truth.applied_n)
-
-
 @dataclass
 class ClosedLoop:
     """One run.
@@ -87,6 +65,7 @@ class ClosedLoop:
         outage: Returns whether the frames of a finger are lost at a time.
         outputs: All with a command or message, with their times.
         messages: Messages of the controller, with their times.
+        trace: The truth at each control step.
     """
 
     world: World
@@ -100,7 +79,7 @@ class ClosedLoop:
     outage: Callable[[str, float], bool] = lambda finger, now_s: False
     outputs: list[tuple[float, StepOutput]] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
-    trace: LoopTrace = field(default_factory=LoopTrace)
+    trace: list[WorldTruth] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._estimates: dict[str, Estimate | None] = dict.fromkeys(FINGERS)
@@ -147,7 +126,7 @@ class ClosedLoop:
     def _on_step(self) -> None:
         self._schedule_step()
         self._decide()
-        self.trace.add(self.world.truth(self.now_s))
+        self.trace.append(self.world.truth(self.now_s))
 
     def _schedule_exposure(self, finger: str) -> None:
         self._sequence[finger] += 1

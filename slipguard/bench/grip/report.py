@@ -197,9 +197,9 @@ def _arrest(upper: Any, lower: Any, outcomes: dict[ControllerName, TrialOutcome]
         trace = outcome.trace
         if trace is None:
             continue
-        time_s = np.asarray(trace.time_s) - trace.time_s[0]
-        upper.plot(time_s, np.abs(trace.slip_deg), color=COLORS[who], label=NAMES[who])
-        lower.plot(time_s, trace.force_n, color=COLORS[who])
+        time_s = [now.time_s - trace[0].time_s for now in trace]
+        upper.plot(time_s, [abs(now.slip_deg) for now in trace], color=COLORS[who], label=NAMES[who])
+        lower.plot(time_s, [now.force_n for now in trace], color=COLORS[who])
     lower.axhline(needed_n, color="black", lw=0.8, ls="--")
     upper.set_ylabel("true slip / °")
     lower.set_ylabel("force / N")

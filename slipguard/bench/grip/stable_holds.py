@@ -8,12 +8,12 @@ is firm.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel, LoopTrace
+from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, RenderedFinger, RotationDrift, RotationOutliers
 from slipguard.bench.grip.trial_run import delivery_rng, grip, modeled_finger, world_of
@@ -22,6 +22,7 @@ from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
 from slipguard.limit_surface import GRAVITY_M_S2
+from slipguard.sim.world import WorldTruth
 
 SHAKE_M_S2 = (0.05, 0.3)
 SHAKE_HZ = (8.0, 25.0)
@@ -95,6 +96,8 @@ STEP_S = 2e-3
 LIFTS_WITHIN_S = 8.0
 HOLD_NUMBERS, RENDERED_NUMBERS = 10_000, 11_000
 SLIP_DEG = 0.1
+TRANSLATES_MM_S = 0.5
+"""Above this rate a slipping object translates; slower motion ends within a micrometer."""
 RECENT_S = 2.0
 """Without translation and below this true slip in this time (or since the last tightening), nothing slips."""
 
@@ -212,12 +215,13 @@ def _held(plan: StableHold, loop: ClosedLoop, lifted_s: float, begun_s: float, f
     )
 
 
-def _false_tightenings(tightened_s: list[float], trace: LoopTrace, from_s: float) -> list[float]:
+def _false_tightenings(tightened_s: list[float], trace: Sequence[WorldTruth], from_s: float) -> list[float]:
     """Return the tightenings without a true slip or translation shortly before and since the last tightening.
 
     An earlier slip does not justify a second tightening.
     """
-    times_s, slips_deg, translates = np.asarray(trace.time_s), np.asarray(trace.slip_deg), np.asarray(trace.translating)
+    times_s, slips_deg = (np.array([getattr(now, name) for now in trace]) for name in ("time_s", "slip_deg"))
+    translates = np.array([now.slipping and abs(now.slip_rate_mm_s) > TRANSLATES_MM_S for now in trace])
     found = []
     for at_s in tightened_s:
         since = (times_s >= max(from_s, at_s - RECENT_S)) & (times_s <= at_s)

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel, LoopTrace
+from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel
 from slipguard.bench.grip.controllers import REACHED_MM, FixedStep, Oracle, SlipguardController, UnguardedController
 from slipguard.bench.grip.perception_models import (
     PERCEPTION_ERRORS,
@@ -19,7 +19,7 @@ from slipguard.bench.grip.perception_models import (
 from slipguard.bench.grip.trials import PERCEIVING_S, ROOM_MM, GripTrial
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
-from slipguard.sim.world import World, WorldSettings
+from slipguard.sim.world import World, WorldSettings, WorldTruth
 
 START_S = 100.0
 CLOSING_MAX_S = 6.0
@@ -95,7 +95,7 @@ class TrialOutcome:
     fault: str | None = None
     up: bool = True
     messages: tuple[str, ...] = ()
-    trace: LoopTrace | None = None
+    trace: list[WorldTruth] | None = None
 
     @property
     def force_over_needed(self) -> float:
@@ -187,8 +187,8 @@ def _goal_mm(trial: GripTrial) -> float:
 
 def _outcome(loop: ClosedLoop, trial: GripTrial, name: ControllerName, begun_s: float, traced: bool) -> TrialOutcome:
     truth, trace = loop.truth(), loop.trace
-    times = np.asarray(trace.time_s)
-    slips = np.abs(np.asarray(trace.slip_deg))
+    times = np.array([now.time_s for now in trace])
+    slips = np.abs([now.slip_deg for now in trace])
     moved = times[(slips > SLIPPED_DEG) & (slips < abs(truth.slip_deg) - SLIPPED_DEG)]
     first_slip_s = float(times[slips > SLIPPED_DEG][0]) if (slips > SLIPPED_DEG).any() else None
     arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
@@ -197,8 +197,8 @@ def _outcome(loop: ClosedLoop, trial: GripTrial, name: ControllerName, begun_s: 
     return TrialOutcome(
         controller=name,
         slip_deg=abs(truth.slip_deg),
-        rotation_deg=max(float(np.abs(trace.rotation_deg).max()), abs(truth.rotation_deg)),
-        force_n=max(trace.force_n),
+        rotation_deg=max(abs(now.rotation_deg) for now in (*trace, truth)),
+        force_n=max(now.force_n for now in trace),
         needed_n=trial.needed_n,
         arrested_s=arrested_s,
         tightenings=len(tightened_s),

@@ -91,7 +91,7 @@ def test_removing_the_support_is_worse_than_a_lift() -> None:
     assert gone.arrested_s is not None
     assert 0.05 < gone.arrested_s < 0.6
     assert gone.trace is not None
-    assert max(gone.trace.force_n) == gone.force_n
+    assert max(now.force_n for now in gone.trace) == gone.force_n
 
 
 def test_the_error_model_takes_a_reference_and_has_the_given_errors() -> None:

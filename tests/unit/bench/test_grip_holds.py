@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slipguard.bench.grip import stable_holds
-from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, LoopTrace
+from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop
 from slipguard.bench.grip.controllers import UnguardedController
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors, RotationOutliers
 from slipguard.bench.grip.stable_holds import HOLD_NUMBERS, RENDERED_NUMBERS, StableHold, run_hold
@@ -14,6 +16,7 @@ from slipguard.bench.grip.trial_run import delivery_rng, grip, modeled_finger, w
 from slipguard.bench.grip.trials import draw
 from slipguard.control.messages import Condition, Observation, StepOutput
 from slipguard.sim.gel_view import GelView
+from slipguard.sim.world import World
 
 
 def plan(*, soft: bool = False, margin: float = 1.6, seconds: float = 8.0) -> StableHold:
@@ -44,8 +47,11 @@ def test_holds_are_spread_and_some_are_rendered() -> None:
 
 
 def test_a_tightening_is_false_without_slip_since_the_last_one() -> None:
-    trace = LoopTrace(time_s=[0.1 * k for k in range(100)], translating=[k == 90 for k in range(100)])
-    trace.slip_deg = [0.02 + 0.3 * (time_s >= 3.0) for time_s in trace.time_s]
+    empty = replace(World().truth(0.0), slipping=True)
+    trace = [
+        replace(empty, time_s=0.1 * k, slip_deg=0.02 + 0.3 * (0.1 * k >= 3.0), slip_rate_mm_s=1.0 * (k == 90))
+        for k in range(100)
+    ]
     tightened_s = [2.0, 4.0, 8.0, 9.5]
     assert stable_holds._false_tightenings(tightened_s, trace, 0.0) == [2.0, 8.0]
     assert stable_holds._false_tightenings([3.0 + stable_holds.RECENT_S + 0.2], trace, 0.0) == [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from command_line import Ran, slipguard
 from rich.console import Console
 
+from slipguard.sim.world import World
 from slipguard.sim_lifts import campaign
 from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
 from slipguard.sim_lifts.report import print_lines, print_tables, record_line
@@ -47,12 +49,10 @@ def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> 
 
 def record(name: str, outcome: str, why: str = "") -> LiftRecord:
     made = LiftRecord(object_name=name, outcome=outcome, why=why, hard="heavy" if name == "bar" else "")
+    empty = World().truth(0.0)
     for step in range(50):
-        made.truth.time_s.append(0.1 * step)
-        made.truth.rotation_deg.append(-0.9 * step)
-        made.truth.force_n.append(40.0 + 1.8 * step)
-        made.truth.needed_n.append(66.0)
-        made.truth.height_mm.append(3.0 * step)
+        moved = {"rotation_deg": -0.9 * step, "force_n": 40.0 + 1.8 * step, "height_mm": 3.0 * step}
+        made.truth.append(replace(empty, time_s=0.1 * step, needed_force_n=66.0, **moved))
         made.fused.append(EstimatedRotation(0.1 * step, -0.9 * step + 0.2, 0.39))
     made.latency_s = [0.0042, 0.0118]
     made.deadlines_missed = 12

@@ -72,7 +72,7 @@ def test_the_two_images_mirror_each_other() -> None:
     left, right, truth = world.view("left", now_s), world.view("right", now_s), world.truth(now_s)
     assert truth.rotation_deg > 5.0
     assert left.angle_deg == pytest.approx(30.0 + truth.rotation_deg) == truth.angle_deg
-    assert right.angle_deg == -left.angle_deg == truth.right_angle_deg
+    assert right.angle_deg == -left.angle_deg == -truth.angle_deg
     assert (left.x_mm, right.x_mm) == (1.5, -1.5)
     assert left.y_mm == right.y_mm == pytest.approx(-0.5 - truth.slip_mm)
     assert left.rate_deg_s == -right.rate_deg_s == truth.rate_deg_s
