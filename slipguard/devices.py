@@ -73,6 +73,8 @@ class GripperState:
     """The force last applied by a command, per finger; not a measurement."""
     fault: str | None
     measured_at_s: float
+    force_known: bool = True
+    """False if something is held that was not commanded on this connection: `force_n` is then the least it can be."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +87,8 @@ class ArmState:
     protective_stop: bool
     emergency_stop: bool
     measured_at_s: float
+    position_mm: tuple[float, float, float] | None = None
+    """Tool position x, y, z in a frame that outlasts the connection, z up; None if the arm does not report one."""
 
 
 class TactileSensor(Protocol):

@@ -54,7 +54,9 @@ def _grasp_rows(state: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if arm:
         stop = "protective stop" if arm["protective_stop"] else "emergency stop" if arm["emergency_stop"] else ""
         motion = f"moving at {arm['speed_mm_s']:.0f} mm/s" if arm["moving"] else "at rest"
-        yield "arm", f"{arm['height_mm']:.0f} mm above its start, {stop or motion}"
+        lifted_mm = state.get("lifted_mm")
+        height = "no start of a lift known" if lifted_mm is None else f"{lifted_mm:.0f} mm above the start of the lift"
+        yield "arm", f"{height}, {stop or motion}"
     else:
         yield "arm", "not connected"
 
@@ -96,6 +98,10 @@ def _grip_text(state: Mapping[str, Any]) -> str:
     if not gripper["holding"]:
         return f"empty, {width}"
     target_n = state.get("target_force_n") or 0.0
+    if not gripper.get("force_known", True):
+        least = f"at least {gripper['force_n']:.0f} N"
+        known = f"{target_n:.0f} N last commanded" if target_n > gripper["force_n"] else least
+        return f"holding, force unknown since the start ({known}), {width}"
     reached = target_n == 0.0 or abs(target_n - gripper["force_n"]) < 1.0
     target = "" if reached else f" (target {target_n:.0f} N)"
     return f"holding with {gripper['force_n']:.0f} N per finger{target}, {width}"

@@ -6,6 +6,7 @@ where it began. The fault stays latched; any other fault on the way stops the ar
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from slipguard.control.messages import LiftArm, Observation, StepOutput, StopArm
@@ -21,6 +22,8 @@ START_S = 0.25
 FRESH_S = 0.1
 """An older state is no reason to move the arm; it is read every 25 ms."""
 REACHED_MM = 0.5
+ABOVE_MM = 5.0
+"""An arm that is no further than this from straight above the start of the lift can go back down to it."""
 AT_LIMIT = frozenset({FaultCode.FORCE_LIMIT_REACHED, FaultCode.ROTATED_TOO_FAR})
 """Faults at the force limit, with the object still slipping."""
 SAME_SLIP = AT_LIMIT | {FaultCode.TIGHTENING_INEFFECTIVE}
@@ -35,6 +38,22 @@ def stop(state: GraspState, observation: Observation, output: StepOutput, *, at_
     if at_once or (not stands and observation.now_s - state.arm.commanded_s >= REPEAT_S):
         return _commanded(state, observation), replace(output, arm=StopArm())
     return state, output
+
+
+def follow_start(state: GraspState, arm: ArmState) -> GraspState:
+    """Return the state with the height where the lift began, while the arm is above that position.
+
+    The height counts from where the arm was connected, so after a restart it follows from the stored position. An arm
+    that reports no position is not followed.
+    """
+    start_mm, here_mm, ground_mm = state.arm.start_mm, arm.position_mm, state.arm.ground_mm
+    if start_mm is None or here_mm is None:
+        return state
+    above = math.dist(start_mm[:2], here_mm[:2]) <= ABOVE_MM
+    if above is (ground_mm is not None):
+        return state
+    ground_mm = arm.height_mm - (here_mm[2] - start_mm[2]) if above else None
+    return replace(state, arm=replace(state.arm, ground_mm=ground_mm))
 
 
 def is_current(state: GraspState, arm: ArmState, now_s: float) -> bool:

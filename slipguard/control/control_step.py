@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from slipguard.control.arm_motion import REPEAT_S, Result
+from slipguard.control.arm_motion import REPEAT_S, Result, follow_start
 from slipguard.control.messages import (
     HaltJaws,
     HoldForce,
@@ -89,6 +89,7 @@ def _follow_arm(state: GraspState, observation: Observation) -> GraspState:
     arm = observation.arm
     if arm is None:  # an arm that comes back counts its height from where it is found
         return replace(state, arm=replace(state.arm, ground_mm=None))
+    state = follow_start(state, arm)
     near, before = arm.protective_stop or arm.emergency_stop, state.person
     after_stop = not near and before.forbids_force and state.phase is Phase.FAULT
     if near is before.now and after_stop is before.after_stop:

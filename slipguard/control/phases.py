@@ -12,7 +12,7 @@ from slipguard.control.params import GuardParams
 from slipguard.control.release import continue_release
 from slipguard.control.reports import Fault, FaultCode, Message, Text
 from slipguard.control.slip_response import SlipResponse, respond_to_slip
-from slipguard.control.state import Adoption, GraspState, Phase
+from slipguard.control.state import Adoption, GraspState, Phase, force_text
 from slipguard.devices import GripperState
 
 NOTHING_S = 0.1
@@ -49,7 +49,7 @@ def _idle(state: GraspState, observation: Observation, params: GuardParams) -> R
     touched = observation.fused is not None and observation.fused.both_touch
     interrupted = state.hands_off.closing_interrupted
     if params.mode == "guard" and state.guarding and gripper.holding and touched and not interrupted:
-        message = Text.GUARDING_FOUND.message(force_n=gripper.force_n)
+        message = Text.GUARDING_FOUND.message(force=force_text(gripper, gripper.force_n))
         return state.taken_over(gripper, observation.now_s), StepOutput(new_reference=True, messages=(message,))
     return state, StepOutput()
 
@@ -95,11 +95,12 @@ def _reference(state: GraspState, observation: Observation, params: GuardParams)
     fused, now_s, present_n = observation.fused, observation.now_s, state.grip.target_n
     waited = now_s - state.since_s > params.tuning.reference_timeout_s
     estimated = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
+    force = force_text(observation.gripper, present_n)
     if fused is not None and estimated and (waited or len(fused.fingers) == 2):
         state = _holding_since(state, now_s, None)
         if len(fused.fingers) == 1:
-            return state, _saying(Text.HOLDING_BY_ONE_FINGER.message(force_n=present_n, note=fused.note))
-        return state, _saying(Text.HOLDING.message(force_n=present_n))
+            return state, _saying(Text.HOLDING_BY_ONE_FINGER.message(force=force, note=fused.note))
+        return state, _saying(Text.HOLDING.message(force=force))
     if not waited:
         return state, StepOutput()
     why = (fused.declined if fused is not None else None) or "no frames from either finger"
@@ -206,7 +207,7 @@ def _adopt(state: GraspState, gripper: GripperState, observation: Observation, p
         state, message = _taken_over(state, gripper, observation, params)
         return state, _saying(message)
     first = not state.adoption.found
-    message = Text.WAITING_FOR_FINGER.message(force_n=gripper.force_n)
+    message = Text.WAITING_FOR_FINGER.message(force=force_text(gripper, gripper.force_n))
     state = replace(state, adoption=replace(state.adoption, found=True))
     return state, _saying(message) if first else StepOutput()
 
@@ -229,25 +230,26 @@ def _adopt_in_fault(
         return replace(state, adoption=done), None
     taken, message = _taken_over(state, gripper, observation, params)
     grip = replace(state.grip, target_n=taken.grip.target_n, commanded_s=taken.grip.commanded_s, closed=True)
-    return replace(state, grip=grip, adoption=done), message
+    motion = replace(state.arm, start_mm=taken.arm.start_mm)
+    return replace(state, grip=grip, arm=motion, adoption=done), message
 
 
 def _taken_over(
     state: GraspState, gripper: GripperState, observation: Observation, params: GuardParams
 ) -> tuple[GraspState, Message]:
     """Return the state that guards what the gripper holds, and the message about it."""
-    before, force_n = state.adoption.remembered, gripper.force_n
+    before, force = state.adoption.remembered, force_text(gripper, gripper.force_n)
     state = state.taken_over(gripper, observation.now_s)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     if before is not None and not before.applied and before.fits(gripper) and force_range is not None:
         known_n = force_range.allowed(before.force_n, state.grip.target_n)
         if known_n > state.grip.target_n:
-            message = Text.TAKEN_OVER_AND_REPEATED.message(force_n=force_n, known_n=known_n)
+            message = Text.TAKEN_OVER_AND_REPEATED.message(force=force, known_n=known_n)
             return state.with_target(known_n, observation.now_s), message
     known_n = state.grip.target_n
-    if known_n > force_n:
-        return state, Text.TAKEN_OVER_WITH_KNOWN_FORCE.message(force_n=force_n, known_n=known_n)
-    return state, Text.TAKEN_OVER.message(force_n=force_n)
+    if known_n > gripper.force_n:
+        return state, Text.TAKEN_OVER_WITH_KNOWN_FORCE.message(force=force, known_n=known_n)
+    return state, Text.TAKEN_OVER.message(force=force)
 
 
 _PHASES: dict[Phase, Callable[[GraspState, Observation, GuardParams], Result]] = {

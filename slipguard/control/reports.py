@@ -24,23 +24,23 @@ class Text(Enum):
     CLOSING = "closing with {force_n:.0f} N"
     CLOSED_ON_NOTHING = "the gripper closed on nothing"
     GRIPPED = "gripped"
-    HOLDING = "holding with {force_n:.0f} N, rotation estimated"
-    HOLDING_BY_ONE_FINGER = "holding with {force_n:.0f} N, rotation estimated by one finger only ({note})"
+    HOLDING = "holding with {force}, rotation estimated"
+    HOLDING_BY_ONE_FINGER = "holding with {force}, rotation estimated by one finger only ({note})"
     NO_ESTIMATE = "no rotation estimate ({why})"
     NO_ESTIMATE_GRIP = "no rotation estimate ({why}): gripping with {force_n:.0f} N"
-    GUARDING_FOUND = "an object is held with {force_n:.0f} N: guarding"
+    GUARDING_FOUND = "an object is held with {force}: guarding"
     # slip
     TIGHTENING = "slip: {what}: tightening from {from_n:.0f} N to {to_n:.0f} N"
     AT_FORCE_LIMIT = "slip: {what}: {force_n:.0f} N is the force limit"
     SETTLED = "settled at {force_n:.0f} N"
     # after a restart
-    WAITING_FOR_FINGER = "an object is already held with {force_n:.0f} N: waiting for a finger"
-    TAKEN_OVER = "an object is already held with {force_n:.0f} N: taken over as it is"
+    WAITING_FOR_FINGER = "an object is already held with {force}: waiting for a finger"
+    TAKEN_OVER = "an object is already held with {force}: taken over as it is"
     TAKEN_OVER_WITH_KNOWN_FORCE = (
-        "an object is already held with {force_n:.0f} N: taken over with the {known_n:.0f} N from before the restart"
+        "an object is already held with {force}: taken over with the {known_n:.0f} N from before the restart"
     )
     TAKEN_OVER_AND_REPEATED = (
-        "an object is already held with {force_n:.0f} N: taken over; the {known_n:.0f} N requested before the restart "
+        "an object is already held with {force}: taken over; the {known_n:.0f} N requested before the restart "
         "are commanded again"
     )
     # the arm
@@ -63,7 +63,7 @@ class Text(Enum):
     # guarding
     GUARDING = "guarding"
     GUARDING_IN_FAULT = "guarding; the fault stays latched until it is cleared"
-    GUARDING_HELD = "guarding the object held with {force_n:.0f} N"
+    GUARDING_HELD = "guarding the object held with {force}"
     WILL_GUARD = "will guard the next object that is gripped"
     NOT_GUARDING = "not guarding: slip has no effect on grip and arm"
     # another program's grip
@@ -74,7 +74,7 @@ class Text(Enum):
     # clear
     CLEARED_EMPTY = "cleared; nothing is held"
     CLEARED_INTERRUPTED = "cleared; the closing was interrupted: grasp again, or release"
-    CLEARED_HOLDING = "cleared; holding with {force_n:.0f} N"
+    CLEARED_HOLDING = "cleared; holding with {force}"
     # the fingers
     FINGER_NOTE = "{note}"
     FINGER_NOTE_OVER = "no longer: {note}"
@@ -98,7 +98,9 @@ class Text(Enum):
     ABOVE_FORCE_LIMIT = "{force_n:g} N is above force_max_n = {limit_n:g} N"
     NOT_WITHIN_FORCE_LIMIT = "{force_n:g} N is not within force_max_n = {limit_n:g} N"
     NO_ESTIMATE_REFUSED = "no rotation estimate ({why}); grip it elsewhere, or set on_no_estimate = 'grip'"
-    WAY_DOWN_UNKNOWN = "the way down is unknown (no lift since it was gripped, or the arm was away); give a height"
+    WAY_DOWN_UNKNOWN = (
+        "the way down is unknown (no lift since it was gripped, or the arm is not above where it began); give a height"
+    )
     NOTHING_HELD = "nothing is held; grasp something first"
     NOTHING_HELD_IN_FAULT = "nothing is held; clear, then grasp something first"
     INTERRUPTED = "the closing was interrupted and the jaws apply 0 N; grasp again, or release"

@@ -15,7 +15,7 @@ from slipguard.control.messages import ActivateGripper, HoldForce, MoveJaws, Obs
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode, Message, Text
 from slipguard.control.slip_memory import SlipMemory
-from slipguard.control.state import GraspState, HandsOff, Phase, gripper_at_rest
+from slipguard.control.state import GraspState, HandsOff, Phase, force_text, gripper_at_rest
 from slipguard.devices import ACTIVATION_HINT, ArmState, GripperState
 
 CLEAR_ENDS = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
@@ -99,9 +99,10 @@ def _lift(state: GraspState, output: StepOutput, observation: Observation, param
         return _refuse(state, output, why or Text.ARM_MISSING.message(verb="lift"))
     requested_mm = observation.request.height_mm
     height_mm = requested_mm if requested_mm is not None else params.lift_height_mm
-    ground_mm = arm.height_mm if state.arm.ground_mm is None else state.arm.ground_mm
     message = Text.LIFTING.message(height_mm=height_mm)
-    state = replace(state, arm=replace(state.arm, ground_mm=ground_mm))
+    if state.arm.ground_mm is None:
+        motion = replace(state.arm, ground_mm=arm.height_mm, start_mm=arm.position_mm)
+        state = replace(state, arm=motion)
     return _start(state, Phase.LIFTING, arm.height_mm + height_mm, arm, observation, params, output, message)
 
 
@@ -151,7 +152,7 @@ def _guard_on(state: GraspState, output: StepOutput, observation: Observation, p
         return _refuse(state, output, Text.NOTHING_HELD.message())
     if state.hands_off.closing_interrupted and gripper.force_n <= 0.0:
         return _refuse(state, output, Text.INTERRUPTED.message())
-    message = Text.GUARDING_HELD.message(force_n=gripper.force_n)
+    message = Text.GUARDING_HELD.message(force=force_text(gripper, gripper.force_n))
     state = state.taken_over(gripper, observation.now_s)
     return state, replace(output, new_reference=True).with_messages(message)
 
@@ -168,7 +169,7 @@ def _guard_in_fault(state: GraspState, output: StepOutput, gripper: GripperState
     target_n = max(state.grip.target_n, gripper.force_n)
     grip = replace(state.grip, target_n=target_n, commanded_s=-math.inf, closed=True)
     held = replace(state.held, memory=SlipMemory())
-    message = Text.GUARDING_HELD.message(force_n=gripper.force_n)
+    message = Text.GUARDING_HELD.message(force=force_text(gripper, gripper.force_n))
     state = replace(state, grip=grip, held=held, hands_off=HandsOff())
     return state, replace(output, new_reference=True).with_messages(message)
 
@@ -241,8 +242,9 @@ def _clear(state: GraspState, output: StepOutput, observation: Observation, para
     before, state = state, state.taken_over(gripper, now_s)
     target_n = max(before.grip.target_n, gripper.force_n)
     grip = replace(state.grip, target_n=target_n, commanded_s=before.grip.commanded_s)
-    state = replace(state, grip=grip, arm=replace(state.arm, ground_mm=before.arm.ground_mm))
-    message = Text.CLEARED_HOLDING.message(force_n=target_n)
+    motion = replace(state.arm, ground_mm=before.arm.ground_mm, start_mm=before.arm.start_mm)
+    state = replace(state, grip=grip, arm=motion)
+    message = Text.CLEARED_HOLDING.message(force=force_text(gripper, target_n))
     return state, replace(output, new_reference=True).with_messages(message)
 
 

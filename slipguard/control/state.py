@@ -129,6 +129,7 @@ class ArmMotion:
 
     Args:
         ground_mm: height where the lift began; None: unknown. goal_mm: where the present motion ends.
+        start_mm: tool position where the lift began, which a restart does not change; None: unknown.
         speed_mm_s: requested for this motion; None: from the configuration.
         commanded_s: when the arm was last commanded.
         paused: in LIFTING and LOWERING, the arm waits until the object has settled.
@@ -136,6 +137,7 @@ class ArmMotion:
     """
 
     ground_mm: float | None = None
+    start_mm: tuple[float, float, float] | None = None
     goal_mm: float | None = None
     speed_mm_s: float | None = None
     commanded_s: float = -math.inf
@@ -192,12 +194,14 @@ class PersonNear:
 class RememberedGrip:
     """How an object was held before a restart: the force per finger last commanded, and the jaws' width then.
 
-    applied: the gripper had confirmed that force; otherwise the command may never have arrived.
+    applied: the gripper had confirmed that force; otherwise the command may never have arrived. lift_start_mm: tool
+    position where the object's lift began; None: it was not lifted, or the arm reports no position.
     """
 
     force_n: float
     width_mm: float
     applied: bool = True
+    lift_start_mm: tuple[float, float, float] | None = None
 
     def fits(self, gripper: GripperState) -> bool:
         """Return whether the jaws still are where they held the object."""
@@ -277,16 +281,25 @@ class GraspState:
         """Return the state that guards what the gripper holds, with the grip it has, from a new reference on.
 
         A gripper that has not been commanded since its connection was opened knows no force. If the jaws are as wide
-        as before the restart, the object is held with the force confirmed then.
+        as before the restart, the object is held with the force confirmed then, and its lift began where it did.
         """
         force_n, before = gripper.force_n, self.adoption.remembered
-        if before is not None and before.applied and before.fits(gripper):
+        same = before is not None and before.fits(gripper)
+        if before is not None and same and before.applied:
             force_n = max(force_n, before.force_n)
-        return replace(self.emptied(Phase.REFERENCE, now_s), grip=Grip(force_n, closed=True))
+        arm = ArmMotion(start_mm=before.lift_start_mm) if before is not None and same else ArmMotion()
+        return replace(self.emptied(Phase.REFERENCE, now_s), grip=Grip(force_n, closed=True), arm=arm)
 
     def with_target(self, force_n: float, now_s: float) -> GraspState:
         """Return the state after this force was commanded."""
         return replace(self, grip=replace(self.grip, target_n=force_n, commanded_s=now_s))
+
+
+def force_text(gripper: GripperState | None, target_n: float) -> str:
+    """Return the force that holds the object, as text. target_n: last commanded."""
+    if gripper is None or gripper.force_known or target_n > gripper.force_n:
+        return f"{target_n:.0f} N"
+    return f"an unknown force of at least {gripper.force_n:.0f} N"
 
 
 def gripper_at_rest(state: GraspState, gripper: GripperState) -> bool:

@@ -131,4 +131,5 @@ def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergen
         protective_stop=protective_stop,
         emergency_stop=emergency_stop,
         measured_at_s=now_s,
+        position_mm=(0.0, 0.0, here.height_mm),
     )

@@ -136,7 +136,7 @@ def sample_of(state: dict[str, Any]) -> dict[str, Any]:
         "t_s": state.get("now_s"),
         "rotation_deg": rotation.get("rotation_deg"),
         "sigma_deg": rotation.get("sigma_deg"),
-        "force_n": gripper.get("force_n"),
+        "force_n": gripper.get("force_n") if gripper.get("force_known", True) else None,
         "target_n": state.get("target_force_n"),
         "phase": state.get("phase"),
         "slipping": state.get("slipping"),

@@ -38,7 +38,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         assert tightened is not None
         assert tightened.force_n == cell.service.state.grip.target_n > first.force_n
         assert restore_control_state(shelf).grasp.adoption.remembered == RememberedGrip(
-            tightened.force_n, tightened.width_mm, applied=True
+            tightened.force_n, tightened.width_mm, applied=True, lift_start_mm=(0.0, 0.0, 0.0)
         )
         await cell.lower()
         await cell.release()

@@ -9,7 +9,8 @@ import pytest
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
-from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, MoveJawsRequest
+from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, LowerRequest, MoveJawsRequest
+from slipguard.daemon.api.snapshot import snapshot
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import CommandRefused
 from tests.campaigns.faults.campaign_cell import CampaignCell
@@ -70,7 +71,33 @@ def test_a_force_on_its_way_when_the_daemon_was_killed_is_applied_after_all(arri
         assert abs(rig.truth.rotation_deg) < 15.0
 
     lines = play(scene)
-    assert any("are commanded again" in line for line in lines) is not arrived
+    assert any("are commanded again" in line for line in lines), "whether it arrived is not known after a restart"
+
+
+def test_after_a_restart_in_the_air_the_unknown_is_unknown_and_the_object_is_lowered() -> None:
+    async def scene(rig: CampaignCell) -> None:
+        await rig.handlers.submit(LiftRequest())
+        await until(lambda: rig.truth.height_mm > 15.0)
+        held_n, height_mm = rig.service.state.grip.target_n, rig.truth.height_mm
+        await rig.kill()
+        await asyncio.sleep(DEAD_S)
+        rig.start()
+        await until(lambda: rig.service.gripper.newest is not None and rig.service.gripper.newest.holding)
+        gripper = rig.service.gripper.newest
+        assert gripper is not None
+        assert (gripper.force_known, gripper.force_n) == (False, 20.0)
+        await until(lambda: rig.service.ready_to_lift)
+        assert rig.service.state.grip.target_n == held_n
+        shown = snapshot(rig.service, {})
+        assert shown["lifted_mm"] == pytest.approx(rig.truth.height_mm, abs=0.1)
+        assert rig.truth.height_mm >= height_mm
+        await asyncio.sleep(0.5)
+        await rig.handlers.submit(LowerRequest())
+        await until(lambda: rig.service.phase is Phase.HOLDING)
+        assert rig.truth.height_mm == pytest.approx(0.0, abs=0.6)
+
+    lines = play(scene)
+    assert any("taken over with the" in line for line in lines)
 
 
 def test_a_latched_fault_outlives_the_daemon() -> None:

@@ -13,9 +13,9 @@ from slipguard.perception.estimate import Estimate
 
 def gripper(
     force_n: float = 40.0, *, holding: bool = True, moving: bool = False, at_s: float = 0.0, nothing: bool = False,
-    fault: str | None = None, active: bool = True, width_mm: float = 30.0,
+    fault: str | None = None, active: bool = True, width_mm: float = 30.0, known: bool = True,
 ) -> GripperState:  # fmt: skip
-    return GripperState(active, moving, holding, nothing, width_mm, force_n, fault, at_s)
+    return GripperState(active, moving, holding, nothing, width_mm, force_n, fault, at_s, known)
 
 
 def arm(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -44,6 +45,8 @@ class FakeGripper(Gripper):
         self._settings = settings
         self._wire = asyncio.Lock()
         self._open = False
+        self._force_known = False
+        """Whether the grip was commanded on this connection."""
         self._goal_mm = MODEL_2F85.stroke_mm
         """The last commanded width."""
 
@@ -57,11 +60,15 @@ class FakeGripper(Gripper):
         if "disconnect" in self._faults():
             self._open = False
             raise DeviceLost(f"{self._name}: no gripper answers; check its cable and power")
+        self._force_known = self._force_known and self._open
         self._open = True
 
     async def state(self) -> GripperState:
         """Read the state now."""
-        return await self._round_trip(self._world.gripper_state)
+        state = await self._round_trip(self._world.gripper_state)
+        if self._force_known or not state.holding:
+            return state
+        return replace(state, force_n=min(state.force_n, MODEL_2F85.force_min_n), force_known=False)
 
     async def hold(self, force_n: float) -> float:
         """Close or tighten with `force_n`; return the force applied."""
@@ -69,7 +76,7 @@ class FakeGripper(Gripper):
 
         def command(now_s: float) -> float:
             self._check_ready()
-            self._goal_mm = 0.0
+            self._goal_mm, self._force_known = 0.0, True
             return self._world.command_hold(now_s, force_n)
 
         return await self._round_trip(command, trips=2)  # stop, then go: the force register acts in motion only
@@ -88,7 +95,7 @@ class FakeGripper(Gripper):
                 raise CommandRefused(
                     f"{self._name}: the fingers are closing and may hold an object; try again when they are at rest"
                 )
-            self._goal_mm = width_mm
+            self._goal_mm, self._force_known = width_mm, True
             return self._world.command_move(now_s, width_mm, force_n)
 
         return await self._round_trip(command)

@@ -107,6 +107,7 @@ class RobotiqGripper(Gripper):
             force_n=self._force_n(status),
             fault=status.fault,
             measured_at_s=asyncio.get_running_loop().time(),
+            force_known=self._applied is not None or not self._jaws.holding,
         )
 
     async def hold(self, force_n: float) -> float:

@@ -179,6 +179,7 @@ class StateMonitor:
             protective_stop=state.protective,
             emergency_stop=state.emergency,
             measured_at_s=state.received_at_s,
+            position_mm=(state.pose[0] * 1000.0, state.pose[1] * 1000.0, state.pose[2] * 1000.0),
         )
 
     async def close(self) -> None:

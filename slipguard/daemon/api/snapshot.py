@@ -16,9 +16,10 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
     """Return the state of the grasp and of each device, and the newest messages.
 
     Times are on the monotonic clock. now_s: start of the last cycle of the loop. limits: from the configuration.
+    lifted_mm: height of the arm above where the lift began; None if that is not known.
     """
     observation, state, guard = service.observation, service.state, service.config.guard
-    fault = state.fault
+    fault, arm, ground_mm = state.fault, service.arm.newest, state.arm.ground_mm
     return {
         "version": __version__,
         "now_s": observation.now_s if observation is not None else None,
@@ -39,7 +40,8 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         else {"code": fault.code.value, "observed": fault.observed, "what_to_do": fault.what_to_do},
         "rotation": _plain(observation.fused) if observation is not None else None,
         "gripper": _plain(service.gripper.newest),
-        "arm": _plain(service.arm.newest),
+        "arm": _plain(arm),
+        "lifted_mm": arm.height_mm - ground_mm if arm is not None and ground_mm is not None else None,
         "fingers": {
             name: {
                 "serial": finger.serial,

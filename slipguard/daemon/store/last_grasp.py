@@ -60,7 +60,8 @@ def restore_control_state(store: LastGraspStore, now: datetime | None = None) ->
         return ControlState()
     grasp = GraspState()
     if (now or datetime.now(UTC)) - last.saved_at <= VALID_FOR:
-        grip = RememberedGrip(last.force_n, last.width_mm, last.applied) if last.force_n > 0.0 else None
+        known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm)
+        grip = known if last.force_n > 0.0 else None
         grasp = replace(grasp, adoption=Adoption(remembered=grip), person=PersonNear(last.person_near))
     if last.fault is not None:
         grasp = replace(
@@ -119,7 +120,8 @@ class LastGraspSaver:
                 closing_interrupted=grasp.hands_off.closing_interrupted,
             )
         if held and gripper is not None and gripper.holding and not gripper.moving and grasp.grip.target_n > 0.0:
-            grip = RememberedGrip(grasp.grip.target_n, gripper.width_mm, force_applied(grasp, gripper))
+            applied = force_applied(grasp, gripper)
+            grip = RememberedGrip(grasp.grip.target_n, gripper.width_mm, applied, grasp.arm.start_mm)
             self._save(replace(new, grip=grip), decision)
         elif not held and gripper is not None and not gripper.holding:
             self._save(_SavedGrasp(), decision)
@@ -147,6 +149,7 @@ class LastGraspSaver:
                 width_mm=grip.width_mm,
                 applied=grip.applied,
                 person_near=new.person_near,
+                lift_start_mm=grip.lift_start_mm,
                 fault=new.fault,
                 release_requested=new.release_requested,
                 closing_interrupted=new.closing_interrupted,

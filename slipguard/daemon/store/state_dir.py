@@ -56,6 +56,7 @@ class LastGrasp(_StateFile):
     force_n: last commanded; 0 if nothing was held. applied: the gripper had confirmed that force. person_near: the arm
     was in a protective or emergency stop, or had been in one since the fault, so the force was not to be increased.
     fault: latched at that time.
+    lift_start_mm: tool position where the lift began, in the arm's own frame.
     release_requested, closing_interrupted: the object was not to be guarded during the fault (see `GraspState`).
     """
 
@@ -65,6 +66,7 @@ class LastGrasp(_StateFile):
     width_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     applied: bool = True
     person_near: bool = False
+    lift_start_mm: tuple[float, float, float] | None = None
     fault: Fault | None = None
     release_requested: bool = False
     closing_interrupted: bool = False

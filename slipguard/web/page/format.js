@@ -71,7 +71,8 @@ function faultDetail(state) {
   const motion = arm && arm.moving ? "the arm is still moving" : "the arm is stopped";
   const armState = state.putting_down ? "the arm is putting the object down" : arm ? motion : "the arm is not connected";
   if (!gripper) return `${armState}, the gripper is not connected`;
-  return gripper.holding ? `${armState}, the grip is kept: ${plain(gripper.force_n)} N` : armState;
+  const force = gripper.force_known === false ? "force unknown" : `${plain(gripper.force_n)} N`;
+  return gripper.holding ? `${armState}, the grip is kept: ${force}` : armState;
 }
 
 /** Format a rotation, of one finger or of both. */
@@ -83,7 +84,7 @@ export function rotationText(rotation_deg, sigma_deg) {
 /** Return the forces of a state in newtons; null if unknown. */
 export function forces(state) {
   return {
-    force_n: state.gripper ? state.gripper.force_n : null,
+    force_n: state.gripper && state.gripper.force_known !== false ? state.gripper.force_n : null,
     target_n: state.target_force_n ?? null,
     limit_n: state.limits ? state.limits.force_max_n : null,
   };

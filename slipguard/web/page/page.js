@@ -163,11 +163,12 @@ function showFigures(state) {
   setText(byId("rotation"), estimated ? `${signed(rotation.rotation_deg)}°` : "–");
   setText(byId("sigma"), estimated ? `± ${rotation.sigma_deg.toFixed(1)}°` : "");
   const { force_n, target_n, limit_n } = forces(state);
-  const known = view.live && force_n !== null;
-  setText(byId("force"), known ? `${plain(force_n)} N` : "–");
+  setText(byId("force"), view.live && force_n !== null ? `${plain(force_n)} N` : "–");
   const target = target_n && Math.abs(target_n - force_n) >= 1 ? `target ${plain(target_n)}, ` : "";
-  setText(byId("force-limit"), known && limit_n !== null ? `${target}of ${plain(limit_n)} N` : "");
+  const known = view.live && state.gripper && limit_n !== null;
+  setText(byId("force-limit"), known ? `${target}of ${plain(limit_n)} N` : "");
   const arm = view.live ? state.arm : null;
-  setText(byId("height"), arm ? `${plain(arm.height_mm)} mm` : "–");
+  const lifted_mm = arm ? (state.lifted_mm ?? null) : null;
+  setText(byId("height"), lifted_mm === null ? "–" : `${plain(lifted_mm)} mm`);
   setText(byId("arm-motion"), arm ? armText(arm) : "");
 }

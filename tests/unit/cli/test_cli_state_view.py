@@ -37,6 +37,7 @@ HELD: dict[str, Any] = {
         "height_mm": 52.7, "speed_mm_s": 50.0, "moving": True,
         "protective_stop": False, "emergency_stop": False, "measured_at_s": 1.0,
     },
+    "lifted_mm": 51.2,
     "fingers": {
         "left": {
             "serial": "D20479",
@@ -71,7 +72,7 @@ def test_grasp_and_devices_are_shown() -> None:
     assert "lifting (mode lift, guarding, slipping)" in text
     assert "rotation +12.3° ± 0.4°, from left and right; translational slip +0.3 mm" in text
     assert "grip holding with 40 N per finger (target 61 N), jaws 28 mm apart" in text
-    assert "arm 53 mm above its start, moving at 50 mm/s" in text
+    assert "arm 51 mm above the start of the lift, moving at 50 mm/s" in text
     assert "left ready D20479, contact of 2160 px, round contact, 1280 frames, 2 corrupt, 7 late" in text
     assert "right disconnected right: no DIGIT with serial number D20510; [plugged] in are D1 and D2" in text
     assert "gripper error gripper: no answer within 50 ms" in text
@@ -106,6 +107,15 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "gripper fault": ({"gripper": HELD["gripper"] | {"fault": "under-voltage"}}, "gripper fault: under-voltage"),
     "empty": ({"gripper": HELD["gripper"] | {"holding": False}}, "empty, jaws 28 mm apart"),
     "on nothing": ({"gripper": HELD["gripper"] | {"closed_on_nothing": True}}, "closed on nothing"),
+    "unknown force": (
+        {"gripper": HELD["gripper"] | {"force_n": 20.0, "force_known": False}, "target_force_n": 119.0},
+        "holding, force unknown since the start (119 N last commanded), jaws 28 mm apart",
+    ),
+    "nothing known": (
+        {"gripper": HELD["gripper"] | {"force_n": 20.0, "force_known": False}, "target_force_n": 20.0},
+        "holding, force unknown since the start (at least 20 N), jaws 28 mm apart",
+    ),
+    "unknown start": ({"lifted_mm": None}, "no start of a lift known, moving at 50 mm/s"),
     "no arm": ({"arm": None}, "arm not connected"),
     "stopped arm": ({"arm": HELD["arm"] | {"protective_stop": True}}, "protective stop"),
     "new": ({"messages": []}, "last events none yet"),

@@ -8,11 +8,11 @@ from observations import arm, fused, gripper, observation
 from records import changed, grasp_state, released_mm
 
 from slipguard.control.control_step import ControlState, control_step, step
-from slipguard.control.messages import Condition, FingerHealth, Observation, RequestKind, StepOutput, StopArm
-from slipguard.control.reports import FaultCode
+from slipguard.control.messages import Condition, FingerHealth, LiftArm, Observation, RequestKind, StepOutput, StopArm
+from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import Phase, RememberedGrip, force_applied
 from slipguard.control.supervisor import DEVICE_START_S
-from slipguard.devices import GripperState
+from slipguard.devices import ArmState, GripperState
 
 WIDTH_MM = gripper().width_mm
 NEVER = FingerHealth(Condition.LOST, float("inf"), "unplugged")
@@ -290,3 +290,86 @@ def test_with_nothing_remembered_nothing_is_missed() -> None:
         PARAMS,
     )
     assert (guard.grasp.adoption.remembered, command.fault) == (None, None)
+
+
+# --- what is not known after a restart ---
+
+START_MM = (400.0, -100.0, 250.0)
+LIFTED = RememberedGrip(93.0, WIDTH_MM, lift_start_mm=START_MM)
+
+
+def at(x_mm: float, y_mm: float, z_mm: float) -> ArmState:
+    """An arm whose heights count from where it is found after the restart."""
+    return changed(arm(0.0), position_mm=(x_mm, y_mm, z_mm))
+
+
+def test_an_unknown_force_is_reported_as_unknown() -> None:
+    play = restarted(RememberedGrip(93.0, WIDTH_MM))
+    play.jaws = gripper(20.0, known=False)
+    said = [play.step().text, *(command.text for command in play.steps(0.5))]
+    assert said[0] == (
+        "an object is already held with an unknown force of at least 20 N: taken over with the 93 N from before the "
+        "restart"
+    )
+    assert "holding with 93 N, rotation estimated" in said
+    other = restarted(None)
+    other.jaws = gripper(20.0, known=False)
+    assert "holding with an unknown force of at least 20 N, rotation estimated" in [
+        command.text for command in other.steps(0.5)
+    ]
+
+
+@pytest.mark.parametrize("fault", [None, FAULT])
+def test_the_object_is_lowered_to_where_its_lift_began_before_the_restart(fault: Fault | None) -> None:
+    play = restarted(LIFTED) if fault is None else latched(LIFTED)
+    play.here = at(401.0, -101.0, 263.6)
+    play.steps(0.5)
+    if fault is not None:
+        play.step(RequestKind.CLEAR)
+        play.steps(0.5)
+    assert play.grasp.arm.ground_mm == pytest.approx(-13.6)
+    lowering = play.step(RequestKind.LOWER)
+    assert (lowering.text, lowering.refusal) == ("lowering by 14 mm", None)
+    assert isinstance(lowering.arm, LiftArm)
+    assert lowering.arm.height_mm == pytest.approx(-13.6)
+
+
+@pytest.mark.parametrize(
+    ("before", "here"),
+    [
+        (LIFTED, at(410.0, -100.0, 263.6)),  # moved to one side
+        (LIFTED, arm(0.0)),  # an arm that reports no position
+        (changed(LIFTED, width_mm=WIDTH_MM + 1.5), at(*START_MM)),  # another object
+        (changed(LIFTED, lift_start_mm=None), at(*START_MM)),
+        (None, at(*START_MM)),
+    ],
+)
+def test_the_way_down_is_unknown_if_the_arm_does_not_show_it(before: RememberedGrip | None, here: ArmState) -> None:
+    play = restarted(before)
+    play.here = here
+    play.steps(0.5)
+    assert play.grasp.arm.ground_mm is None
+    assert "the way down is unknown" in str(play.step(RequestKind.LOWER).refusal)
+
+
+def test_the_way_down_is_known_again_when_the_arm_is_back_above_the_start() -> None:
+    play = restarted(LIFTED)
+    play.here = at(400.0, -100.0, 263.6)
+    play.steps(0.5)
+    play.here = at(420.0, -100.0, 263.6)
+    play.step()
+    assert play.grasp.arm.ground_mm is None
+    play.here = None  # type: ignore[assignment]
+    play.step()
+    play.here = at(400.0, -100.0, 280.0)
+    play.step()
+    assert play.grasp.arm.ground_mm == pytest.approx(-30.0)
+
+
+def test_where_a_lift_began_is_remembered_for_a_restart() -> None:
+    play = Play().held()
+    play.here = changed(arm(5.0), position_mm=START_MM)
+    play.step()
+    assert play.grasp.arm.start_mm is None
+    play.step(RequestKind.LIFT)
+    assert (play.grasp.arm.ground_mm, play.grasp.arm.start_mm) == (5.0, START_MM)
