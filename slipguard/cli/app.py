@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json as jsonlib
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -97,45 +98,53 @@ def top(
 
 
 def run(arguments: list[str] | None = None, app: typer.Typer = app, program: str = "slipguard") -> int:
-    """Run one command and return its exit code; an expected failure prints one line on stderr."""
+    """Run one command and return its exit code.
+
+    An expected failure prints one line on stderr, and with --json also `{"error": line}` as the last line on stdout.
+    """
+    code, error = _run(arguments, app, program)
+    line = " ".join(error.split())
+    if line and "--json" in (sys.argv[1:] if arguments is None else arguments):
+        print(jsonlib.dumps({"error": line}), flush=True)
+    if line:
+        print(f"slipguard: {line}", file=sys.stderr)
+    return code
+
+
+def _run(arguments: list[str] | None, app: typer.Typer, program: str) -> tuple[int, str]:
+    """Run one command; return its exit code and the error, "" for none."""
     command = typer.main.get_command(app)
     try:
         result = command.main(args=arguments, prog_name=program, standalone_mode=False)
     except typer.Exit as finished:
-        return finished.exit_code
+        return finished.exit_code, ""
     except typer.Abort:
-        return _print_error("interrupted", 1)
+        return 1, "interrupted"
     except UsageError as error:
-        return _print_error(_usage_message(error), 2)
+        return 2, _usage_message(error)
     except SlipguardError as error:
-        return _print_error(*_message_and_code(error))
+        return _code_and_message(error)
     except ExceptionGroup as group:
         # Of a task group: the first failure has cancelled the other tasks.
         expected, unexpected = group.split(SlipguardError)
         if unexpected is not None or expected is None:
             raise
-        return _print_error(*_message_and_code(_first_exception(expected)))
+        return _code_and_message(_first_exception(expected))
     except BrokenPipeError:
         raise
     except OSError as error:
         # For example a full disk, or a folder without write permission.
         where = f"{error.filename}: " if error.filename else ""
-        return _print_error(f"{where}{error.strerror or error}", 1)
+        return 1, f"{where}{error.strerror or error}"
     if result == CTRL_C:
-        return _print_error("interrupted", 1)
-    return result if isinstance(result, int) else 0
+        return 1, "interrupted"
+    return result if isinstance(result, int) else 0, ""
 
 
-def _print_error(text: str, code: int) -> int:
-    if text:
-        print(f"slipguard: {' '.join(text.split())}", file=sys.stderr)
-    return code
-
-
-def _message_and_code(error: BaseException) -> tuple[str, int]:
+def _code_and_message(error: BaseException) -> tuple[int, str]:
     if isinstance(error, CommandRefused):
-        return f"refused: {error}", 1
-    return str(error), 2 if isinstance(error, ConfigError | InputError | ModelError) else 1
+        return 1, f"refused: {error}"
+    return 2 if isinstance(error, ConfigError | InputError | ModelError) else 1, str(error)
 
 
 def _first_exception(group: BaseExceptionGroup[Any]) -> BaseException:

@@ -1,14 +1,18 @@
-"""Wrong usage: one helpful line, exit code 2, and nothing on stdout."""
+"""Wrong usage: one helpful line and exit code 2; with --json the same line as JSON on stdout, else nothing there."""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 from command_line import slipguard
 
+from slipguard.cli.app import app
 from slipguard.daemon import run as root
 from slipguard.errors import ConfigError
 from slipguard.perception.contact.segmenter import default_model_path
@@ -61,8 +65,33 @@ def test_misuse_is_one_line(line: str, capfd: pytest.CaptureFixture[str], tmp_pa
     ran = slipguard(capfd, *line.split())
     assert WRONG[line] in ran.complaint
     assert ran.code == 2
-    assert ran.out == ""
+    assert ran.out == (json.dumps({"error": ran.complaint}) + "\n" if "--json" in line.split() else "")
     assert list(tmp_path.iterdir()) == []
+
+
+def commands_with_json(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the path of every command that has the option --json."""
+    if any("--json" in one.opts for one in command.params):
+        yield path
+    for name, one in getattr(command, "commands", {}).items():
+        yield from commands_with_json(one, (*path, name))
+
+
+@pytest.mark.parametrize("path", list(commands_with_json(typer.main.get_command(app))), ids=" ".join)
+def test_an_error_of_every_command_with_json_is_json(path: tuple[str, ...], capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, *path, "--json", "--unknown-option")
+    assert ran.code == 2
+    assert json.loads(ran.out) == {"error": ran.complaint}
+    assert "--unknown-option" in ran.complaint
+
+
+@pytest.mark.parametrize(
+    "line", ["ctl lift --socket nowhere.sock", "check --config nowhere.toml", "measure nowhere", "--sim --lifts 0"]
+)
+def test_an_error_at_work_is_json_too(line: str, capfd: pytest.CaptureFixture[str]) -> None:
+    ran = slipguard(capfd, *line.split(), "--json")
+    assert ran.code in (1, 2)
+    assert json.loads(ran.out) == {"error": ran.complaint}
 
 
 CONFIGS = {
