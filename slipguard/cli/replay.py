@@ -36,7 +36,10 @@ def replay(
             "--against", help="List commands that differ from the recorded ones; exit code 1 if there are any."
         ),
     ] = False,
-    export: Annotated[Path | None, typer.Option(help="Export the recordings to this folder instead.")] = None,
+    export: Annotated[
+        Path | None,
+        typer.Option(help="Export to this folder instead, with configuration and background images."),
+    ] = None,
     kinds: Annotated[
         list[ExportFormat] | None, typer.Option("--as", help="With --export: csv, png or mp4; may be repeated.")
     ] = None,

@@ -113,4 +113,4 @@ TRUTH_RECORD = Json(TruthRecord)
 
 
 def background_name(finger: str) -> str:
-    return f"no_contact-{finger}.png"
+    return f"background-{finger}.png"

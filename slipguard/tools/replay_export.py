@@ -1,4 +1,4 @@
-"""Export of recordings to CSV tables, PNG images and MP4 videos."""
+"""Export of recordings to CSV tables, PNG images and MP4 videos, with their configuration and background images."""
 
 from __future__ import annotations
 
@@ -33,13 +33,16 @@ TICK_COLUMNS = (
 def export(opened: list[Recording], folder: Path, kinds: set[str]) -> list[Path]:
     """Write the given kinds ("csv", "png", "mp4") into `folder`; return the files, or the folder of many images.
 
+    The configuration and the background images are always written, since the other files cannot be understood or
+    measured again without them.
+
     Raises InputError if the folder cannot be created.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder}: cannot create the folder: {error.strerror}") from None
-    written: list[Path] = []
+    written = _write_attachments(opened, folder)
     if "csv" in kinds:
         written += _write_tables(items_of(opened), folder)
     if "png" in kinds:
@@ -47,6 +50,19 @@ def export(opened: list[Recording], folder: Path, kinds: set[str]) -> list[Path]
     if "mp4" in kinds:
         written += _write_videos(opened, folder)
     return written
+
+
+def _write_attachments(opened: list[Recording], folder: Path) -> list[Path]:
+    """Write configuration and background images; one that differs from that of an earlier recording, under its name."""
+    written: dict[Path, bytes] = {}
+    for recording in opened:
+        for name, content in recording.attachments.items():
+            path = folder / Path(name).name
+            if written.get(path, content) != content:
+                path = folder / f"{recording.path.stem}-{path.name}"
+            path.write_bytes(content)
+            written[path] = content
+    return list(written)
 
 
 def _write_tables(items: Iterable[RecordedItem], folder: Path) -> list[Path]:
