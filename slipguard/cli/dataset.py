@@ -12,7 +12,7 @@ from slipguard.cli.terminal import count_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncIterator
+    from collections.abc import AsyncGenerator
 
     from slipguard.config import Config
     from slipguard.daemon.api.client import Client
@@ -148,13 +148,14 @@ def record(
     Example: `slipguard dataset record --serial D20479 --out presses --count 50 --show sheet.png`
     """
     import asyncio
+    from contextlib import AsyncExitStack, aclosing
 
     from slipguard.cli.interrupt import default_interrupts
     from slipguard.config import read_config
     from slipguard.daemon.api.client import Client, DaemonNotRunning
     from slipguard.daemon.api.paths import running_socket
     from slipguard.datasets.dataset_files import check_new, contact_sheet
-    from slipguard.datasets.recorder import record_dataset
+    from slipguard.datasets.recorder import from_sensors, opened, record_dataset
 
     if (config is None) == (serial is None):
         raise InputError("give either --config config.toml or --serial D20479")
@@ -162,15 +163,19 @@ def record(
     settings = read_config(config) if config is not None else None
 
     async def record_all(client: Client | None) -> int:
-        images, serials = (
-            _daemon_images(client, serial, every_s) if client else _sensor_images(settings, serial, every_s)
-        )
-        backgrounds = _read_backgrounds(serials, background, settings)
-        with count_bar("recording", count) as show_count:
-            try:
+        async with AsyncExitStack() as stack:
+            if client is not None:
+                images, serials = _daemon_images(client, serial, every_s)
+            else:
+                sensors = _sensors(settings, serial)
+                # A missing image is reported before a sensor is opened, if the serial number is already known.
+                _read_backgrounds([sensor.serial for sensor in sensors if sensor.serial], background, settings)
+                await stack.enter_async_context(opened(sensors))
+                images, serials = from_sensors(sensors, every_s), [sensor.serial for sensor in sensors]
+            backgrounds = _read_backgrounds(serials, background, settings)
+            show_count = stack.enter_context(count_bar("recording", count))
+            async with aclosing(images):
                 return await record_dataset(out, images, count, backgrounds, show_count)
-            finally:
-                await images.aclose()  # type: ignore[attr-defined]
 
     with Client(socket or running_socket(settings)) as client:
         try:
@@ -185,7 +190,9 @@ def record(
     print(f"{count} frames in {out}, {with_contact} with contact; check the masks before you train on them")
 
 
-def _daemon_images(client: Client, serial: str | None, every_s: float) -> tuple[AsyncIterator[SensorImage], list[str]]:
+def _daemon_images(
+    client: Client, serial: str | None, every_s: float
+) -> tuple[AsyncGenerator[SensorImage, None], list[str]]:
     """Return the daemon's images and its sensors' serial numbers. Raises InputError if it has no such sensor."""
     from slipguard.datasets.recorder import from_daemon
 
@@ -199,14 +206,11 @@ def _daemon_images(client: Client, serial: str | None, every_s: float) -> tuple[
     return from_daemon(client, fingers, every_s), [serials[name] for name in fingers]
 
 
-def _sensor_images(
-    settings: Config | None, serial: str | None, every_s: float
-) -> tuple[AsyncIterator[SensorImage], list[str]]:
-    """Return images of the configured sensors, or of one DIGIT, and the serial numbers."""
+def _sensors(settings: Config | None, serial: str | None) -> list[Any]:
+    """Return the configured sensors, or one DIGIT, not opened."""
     from pydantic import ValidationError
 
     from slipguard.config_errors import describe_validation_error
-    from slipguard.datasets.recorder import from_sensors
     from slipguard.devices import DriverContext
     from slipguard.registry import load_driver
 
@@ -223,7 +227,7 @@ def _sensor_images(
         for name in ("left", "right"):
             section = getattr(settings, name)
             sensors.append(load_driver(group, section.driver)(section.settings, DriverContext(name)))
-    return from_sensors(sensors, every_s), [sensor.serial for sensor in sensors]
+    return sensors
 
 
 def _read_backgrounds(serials: list[str], given: Path | None, settings: Config | None) -> dict[str, Any]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -136,7 +137,7 @@ async def record_dataset(
     return touched
 
 
-async def from_daemon(source: Client, fingers: list[str], every_s: float) -> AsyncIterator[SensorImage]:
+async def from_daemon(source: Client, fingers: list[str], every_s: float) -> AsyncGenerator[SensorImage, None]:
     """Yield the frames of a running daemon, finger by finger, each once.
 
     Raises CommandRefused if a finger has no frame for a while.
@@ -163,25 +164,31 @@ async def from_daemon(source: Client, fingers: list[str], every_s: float) -> Asy
         await asyncio.sleep(due_s - loop.time())
 
 
-async def from_sensors(sensors: list[TactileSensor], every_s: float) -> AsyncIterator[SensorImage]:
-    """Open the sensors and yield their frames; the sensors are closed with the iterator.
+@asynccontextmanager
+async def opened(sensors: list[TactileSensor]) -> AsyncIterator[list[TactileSensor]]:
+    """Open the sensors, which may know their serial numbers only then, and close them at the end.
 
-    Raises DeviceLost if one is missing, and any persistent DeviceError.
+    Raises DeviceLost if one is missing.
     """
-    loop = asyncio.get_running_loop()
     try:
         for sensor in sensors:
             await sensor.open()
-        due_s = loop.time()
-        while True:
-            for sensor in sensors:
-                frame = await good_frame(sensor)
-                yield SensorImage(sensor.serial, frame.image, frame.sequence)
-            due_s = max(due_s + every_s, loop.time())
-            await asyncio.sleep(due_s - loop.time())
+        yield sensors
     finally:
         for sensor in sensors:
             await sensor.close()
+
+
+async def from_sensors(sensors: list[TactileSensor], every_s: float) -> AsyncGenerator[SensorImage, None]:
+    """Yield the frames of opened sensors. Raises any persistent DeviceError."""
+    loop = asyncio.get_running_loop()
+    due_s = loop.time()
+    while True:
+        for sensor in sensors:
+            frame = await good_frame(sensor)
+            yield SensorImage(sensor.serial, frame.image, frame.sequence)
+        due_s = max(due_s + every_s, loop.time())
+        await asyncio.sleep(due_s - loop.time())
 
 
 async def good_frame(sensor: TactileSensor) -> Frame:

@@ -16,9 +16,18 @@ from numpy.typing import NDArray
 from pipe_capture import PipeCapture, delivery, found
 
 from slipguard.daemon.api.client import Client
+from slipguard.daemon.store.background_images import BackgroundImage
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.datasets import recorder as dataset_record
-from slipguard.datasets.recorder import SensorImage, from_daemon, from_sensors, propose_mask, record_dataset
-from slipguard.devices import DriverContext
+from slipguard.datasets.recorder import (
+    SensorImage,
+    from_daemon,
+    from_sensors,
+    opened,
+    propose_mask,
+    record_dataset,
+)
+from slipguard.devices import DriverContext, Frame
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard.sim.contact_label import label
 from slipguard.sim.gel_camera import GelCamera
@@ -93,13 +102,14 @@ async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pyt
 
 async def test_without_a_daemon_the_sensor_is_opened_and_closed() -> None:
     sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("sensor"), found, PipeCapture)
-    shots = from_sensors([sensor], 0.0)
-    waiting = asyncio.ensure_future(anext(shots))
-    await wait_until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
-    PipeCapture.last.offer(delivery(1, damage="torn"), delivery(2))
-    shot = await waiting
-    assert (shot.serial, shot.sequence, shot.image.shape) == ("D20001", 2, (320, 240, 3))
-    await shots.aclose()
+    async with opened([sensor]):
+        shots = from_sensors([sensor], 0.0)
+        waiting = asyncio.ensure_future(anext(shots))
+        await wait_until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
+        PipeCapture.last.offer(delivery(1, damage="torn"), delivery(2))
+        shot = await waiting
+        assert (shot.serial, shot.sequence, shot.image.shape) == ("D20001", 2, (320, 240, 3))
+        await shots.aclose()
     assert PipeCapture.last.closed
     with pytest.raises(DeviceLost):
         await sensor.next_frame()
@@ -139,6 +149,46 @@ def test_the_command_records_both_fingers_of_a_configuration(tmp_path: Path, cap
     assert "6 frames" in ran.out
     assert "3 with contact" in ran.out
     assert len(list((tmp_path / "set" / "images").iterdir())) == 6
+
+
+class LateSerialSensor:
+    """A sensor that reads its serial number when it is opened, as the port allows."""
+
+    Settings = DigitSensor.Settings
+
+    def __init__(self, settings: object, context: DriverContext) -> None:
+        self.serial = ""
+        self.sequence = 0
+
+    async def open(self) -> None:
+        self.serial = "D30003"
+
+    async def next_frame(self) -> Frame:
+        self.sequence += 1
+        await asyncio.sleep(0)
+        return Frame(np.full((320, 240, 3), 90, np.uint8), 0.0, self.sequence)
+
+    async def close(self) -> None:
+        self.serial = ""
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_a_serial_number_known_only_after_opening_is_used(
+    stored: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    monkeypatch.setattr("slipguard.registry.load_driver", lambda group, name: LateSerialSensor)
+    if stored:
+        grey = np.full((320, 240, 3), 90, np.uint8)
+        StateDir(None).save_background("D30003", BackgroundImage(grey, (1.0, 1.0, 1.0), 30))
+    out = tmp_path / "set"
+    ran = slipguard(capfd, "dataset", "record", "--serial", "D1", "--out", out, "--count", 2, "--every-s", 0)
+    if not stored:
+        assert "has no background image of D30003" in ran.complaint
+        return
+    assert ran.code == 0, ran.err
+    lines = [json.loads(line) for line in (out / "manifest.jsonl").read_text().splitlines()]
+    assert [line["serial"] for line in lines] == ["D30003", "D30003"]
 
 
 @pytest.mark.parametrize(
