@@ -206,8 +206,9 @@ def _print_table(figures: dict[str, Any]) -> None:
     mean_deg, sd_deg = figures["turn_error_mean_deg"], figures["turn_error_sd_deg"]
     console.print(
         f"{figures['lifts_compared']} lifts: {mean_deg:.2f}° ± {sd_deg:.2f}°, worst object "
-        f"{figures['turn_error_worst_object_deg']:.2f}°; real cell, as published: "
+        f"{figures['turn_error_worst_object_deg']:.2f}°; paper, real cell: "
         f"{paper['turn_error_mean_deg']}° ± {paper['turn_error_sd_deg']}°"
+        + (" (this cell is simulated; not comparable)" if figures["simulated"] else "")
     )
 
 

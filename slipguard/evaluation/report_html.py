@@ -76,7 +76,7 @@ def _lead(report: dict[str, Any], protocol: LiftProtocol | None) -> str:
 def _headline(report: dict[str, Any]) -> str:
     paper = f"{PAPER['turn_error_mean_deg']}° ± {PAPER['turn_error_sd_deg']}°"
     worst = PAPER["turn_error_worst_object_deg"]
-    note = " (simulated; not comparable)" if report["simulated"] else ""
+    note = _not_comparable(report)
     mean = f"{_mean_sd(report)}°"
     compared = f"mean error over {report['lifts_compared']} lifts; paper, real cell: {paper}{note}"
     sigmas = f"{_percent(report['within_1_sigma'])} / {_percent(report['within_2_sigma'])}"
@@ -88,6 +88,11 @@ def _headline(report: dict[str, Any]) -> str:
     ]
     shown = "".join(f"<div><b>{figure}</b><span>{text}</span></div>" for figure, text in tiles)
     return f"<div class='figures'>{shown}</div>"
+
+
+def _not_comparable(report: dict[str, Any]) -> str:
+    """Return the note that belongs next to each of the paper's figures; "" for a real cell."""
+    return " (this cell is simulated; not comparable)" if report["simulated"] else ""
 
 
 def _paper_comparison(report: dict[str, Any]) -> str:
@@ -112,7 +117,7 @@ def _paper_comparison(report: dict[str, Any]) -> str:
         rows.append(["Dice", _pm(report["dice"], 3), "{} ± {}".format(*PAPER_DICE)])
         rows.append(["IoU", _pm(report["iou"], 3), "{} ± {}".format(*PAPER_IOU)])
     return _table(
-        ["", "simulated; not comparable" if report["simulated"] else "this cell", "paper, real cell"],
+        ["", "simulated cell" if report["simulated"] else "this cell", f"paper, real cell{_not_comparable(report)}"],
         rows,
         "Comparison with the paper.",
     )
@@ -154,7 +159,8 @@ def _estimator_table(report: dict[str, Any]) -> str:
         one = report["per_estimator"][name]
         label = "fused (used by the guard)" if name == "fused" else name
         rows.append([label, one["n"], _pm(one), _n(one["worst"]), _interval(one)])
-    rows.append(["<i>skeleton, paper, real cell</i>", 45,
+    label = f"skeleton, paper, real cell{_not_comparable(report)}"
+    rows.append([f"<i>{label}</i>", 45,
                  f"{PAPER['turn_error_mean_deg']} ± {PAPER['turn_error_sd_deg']}", "", ""])  # fmt: skip
     head = ["estimator", "lifts", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean"]
     return _table(head, rows, "A declined estimate has no error, so compare the number of lifts too.")

@@ -62,7 +62,7 @@ class CampaignSettings:
 
 @dataclass(slots=True)
 class LiftProgress:
-    """The current state, for a progress display."""
+    """The current state, for a progress display. latency_ms: None on a virtual clock, where it is no measurement."""
 
     lift: int = 0
     lifts: int = 0
@@ -137,7 +137,7 @@ async def _lifts(
         records.append(record)
         loop = asyncio.get_running_loop()
         world.place(scenario(name, seed), loop.time())
-        with _watched(service, world, record, progress, show):
+        with _watched(service, world, record, progress, show, realtime=settings.realtime):
             await _one_lift(service, handlers, world, record, running)
         world.clear(loop.time())
     return records
@@ -186,7 +186,13 @@ async def _one_lift(
 
 @contextmanager
 def _watched(
-    service: Service, world: World, record: LiftRecord, progress: LiftProgress, show: Callable[[LiftProgress], None]
+    service: Service,
+    world: World,
+    record: LiftRecord,
+    progress: LiftProgress,
+    show: Callable[[LiftProgress], None],
+    *,
+    realtime: bool,
 ) -> Iterator[None]:
     """Add truth, estimates and decisions to the record while the body runs."""
     loop = asyncio.get_running_loop()
@@ -214,7 +220,7 @@ def _watched(
             progress.rotation_deg, progress.sigma_deg = fused.rotation_deg, fused.sigma_deg
         else:
             progress.rotation_deg = progress.sigma_deg = None
-        if decision.latencies_s:
+        if realtime and decision.latencies_s:
             progress.latency_ms = 1e3 * decision.latencies_s[-1]
         show(progress)
 

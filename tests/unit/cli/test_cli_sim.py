@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import pytest
 from command_line import Ran, slipguard
 from rich.console import Console
 
+from slipguard.cli import simulate
 from slipguard.sim.world import World
 from slipguard.sim_lifts import campaign
 from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
@@ -30,7 +33,14 @@ def _short_lifts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "HOLD_S", 0.2)
 
 
-def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[tuple[str, float | None]] = []
+
+    @contextmanager
+    def display(console: Console) -> Iterator[Callable[[campaign.LiftProgress], None]]:
+        yield lambda live: shown.append((live.object_name, live.latency_ms))
+
+    monkeypatch.setattr(simulate, "_display", display)
     ran = slipguard(capfd, "--sim", "--speed", "fast", "--lifts", 1, "--json", "--out", tmp_path / "new" / "out")
     assert ran.code == 0
     lines: list[dict[str, Any]] = [json.loads(line) for line in ran.out.splitlines()]
@@ -41,6 +51,7 @@ def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> 
     assert (found["lifts"], found["held"], found["dropped"], found["refused"]) == (1, 1, 0, 0)
     assert found["latency_p50_ms"] is None
     assert found["latency_p99_ms"] is None
+    assert set(shown) == {("bar", None)}, "a virtual clock measures no latency"
     assert lines[0]["lift"]["object"] == "bar"
     picture = cv2.imread(str(tmp_path / "new" / "out" / "guarded.png"))
     assert picture.std() > 5.0
