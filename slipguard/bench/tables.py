@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
+from rich import box
 from rich.table import Table
 
 from slipguard.bench.results import PUBLISHED, BenchReport, BenchRow
@@ -11,36 +14,57 @@ COLUMNS = (
     "worst", "with an axis", "estimates", "declined", "round textured", "round plain declined", "within 1, 2 sigma",
     "Dice", "IoU", "× 240×320", "× 120×160",
 )  # fmt: skip
-BRIEF = ("p50", "p99", "grasp", "error", "worst", "declined", "Dice", "× 240×320")
+SHOWN = {
+    "": 0, "pipeline": 1, "p50\nms": 2, "p99\nms": 3, "grasp\nms": 5, "error\n°": 7, "worst\n°": 9, "declined": 12,
+    "Dice": 16, "×\n240×320": 18,
+}  # fmt: skip
+"""Columns for the terminal, of 80 characters at least: title -> position in COLUMNS. --json has all figures."""
 SIZES = ("240×320", "120×160")
 """Input sizes of the paper's network: as published, and as trained for slipguard."""
 
 
-def bench_tables(found: BenchReport, brief: bool) -> list[Table]:
-    """Return the tables of pipelines, thinning and skips. brief: fewer columns, for a narrow terminal."""
-    title = f"{found.machine['processor']}, one core unless stated; times in ms, errors in degrees"
-    shown = Table("", "pipeline", *(BRIEF if brief else COLUMNS[2:]), title=title)
+def bench_tables(found: BenchReport) -> list[Table]:
+    """Return the tables of pipelines, thinning and skips; they fit into 80 columns."""
+    shown = _table(SHOWN, "pipeline")
+    shown.title = f"{found.machine['processor']}, one core unless stated; times in ms, errors in degrees"
     for row in (*found.pipelines, *found.peers):
         cells = cells_of(row, found)
-        name = f"[bold]{cells[1]}[/]" if row.name == found.default else cells[1]
-        picked = [cells[0], name, *cells[2:]]
-        if brief:
-            picked = [picked[0], name, cells[2], cells[3], cells[5], cells[7].split(" ± ")[0], cells[9], cells[12],
-                      cells[16], cells[18]]  # fmt: skip
-        shown.add_row(*picked)
-    thinned = Table("thinning", "masks", "ms", "cv2, ×", "scikit-image thin, ×", "skeletonize, ×", "pixels unlike cv2")
+        cells[7] = cells[7].split(" ± ")[0]
+        cells[1] = f"[bold]{cells[1]}[/]" if row.name == found.default else cells[1]
+        shown.add_row(*(cells[at] for at in SHOWN.values()))
+    thinned = _table(
+        (
+            "thinning",
+            "masks",
+            "ms",
+            "cv2\n×",
+            "scikit-image\nthin, ×",
+            "scikit-image\nskeletonize, ×",
+            "pixels unlike\ncv2",
+        ),
+        "thinning",
+    )
     for one in found.thinning:
         ratios = [f"{one.ratios[key]:.1f}" for key in ("cv2", "scikit-image thin", "scikit-image skeletonize")]
         thinned.add_row(one.size, str(one.masks), f"{one.ms:.2f}", *ratios, str(one.pixels_different_from_cv2))
-    skip_table = Table(
-        "skip", "used", "saves, ms", "over a grasp, ms per frame", "error added", "frames later", "measured on"
+    skips = _table(
+        ("skip", "used", "saves\nms", "over a grasp\nms per frame", "error added\n°", "frames\nlater"), "skip"
     )
     for skip in found.skips:
-        skip_table.add_row(
+        skips.add_row(
             skip.name, "yes" if skip.kept else "no", _text(skip.saved_ms), _text(skip.saved_ms_per_frame_grasp),
-            _text(skip.error_added_deg, "{:+.3f}"), _text(skip.frames_later, "{:+d}"), skip.how,
+            _text(skip.error_added_deg, "{:+.3f}"), _text(skip.frames_later, "{:+d}"),
         )  # fmt: skip
-    return [shown, thinned, skip_table]
+    return [shown, thinned, skips]
+
+
+def _table(columns: Iterable[str], text_column: str) -> Table:
+    """Return a table with little space between its columns; only the text column is broken into lines."""
+    made = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0), title_justify="left")
+    for name in columns:
+        is_text = name == text_column
+        made.add_column(name, justify="left" if is_text else "right", no_wrap=not is_text, overflow="fold")
+    return made
 
 
 def notes(found: BenchReport) -> list[str]:
@@ -53,6 +77,11 @@ def notes(found: BenchReport) -> list[str]:
         "another machine and other objects, not directly comparable",
     ]
     return [*found.notes, *_compared(found), " ".join(published)]
+
+
+def skip_notes(found: BenchReport) -> list[str]:
+    """Return on which frames each skip was measured."""
+    return [f"{one.name}: measured on {one.how}" for one in found.skips]
 
 
 def _compared(found: BenchReport) -> list[str]:

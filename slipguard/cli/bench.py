@@ -14,8 +14,6 @@ from slipguard.errors import InputError
 if TYPE_CHECKING:
     from slipguard.tools.parallel import Workers
 
-WIDE_COLUMNS = 190
-
 
 def bench(
     quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: under a minute.")] = True,
@@ -63,9 +61,9 @@ def bench(
         print(jsonlib.dumps(found.as_json()))
         return
     console = Console()
-    for shown in tables.bench_tables(found, brief=console.width < WIDE_COLUMNS):
+    for shown in tables.bench_tables(found):
         console.print(shown)
-    for line in tables.notes(found):
+    for line in (*tables.skip_notes(found), *tables.notes(found)):
         console.print(line, style="dim")
 
 

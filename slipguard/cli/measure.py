@@ -21,6 +21,7 @@ NO_BACKGROUND = (
     "and contact may be reported where there is none"
 )
 ROWS_MAX = 60
+FRAME_NAME_WIDTH = 28
 
 
 class ReferenceChoice(StrEnum):
@@ -116,30 +117,35 @@ def _check_estimator(name: str) -> str:
 
 
 def _print_table(done: list[FrameMeasurement]) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table("frame", "contact", "area px", "rotation °", "orientation °", "method", "note")
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("frame", overflow="fold", max_width=FRAME_NAME_WIDTH)
+    for name in ("area\npx", "rotation\n°", "orientation\n°"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("note", overflow="fold")
     omitted = len(done) - ROWS_MAX
     for number, measured in enumerate(done):
         if omitted > 0 and ROWS_MAX // 2 <= number < len(done) - ROWS_MAX // 2:
             if number == ROWS_MAX // 2:
-                table.add_row("…", "", "", "", "", "", f"{omitted} more; --json prints all")
+                table.add_row("…", "", "", "", f"{omitted} more; --json prints all")
             continue
         estimate = measured.estimate
         rotation = (
             "" if estimate.rotation_deg is None else f"{estimate.rotation_deg:+.2f} ± {estimate.sigma_deg or 0.0:.2f}"
         )
         axis = "" if estimate.orientation_deg is None else f"{estimate.orientation_deg:+.1f}"
-        note = estimate.skipped or estimate.declined or ""
-        contact = "yes" if estimate.contact else "no"
-        area = str(estimate.contact_area_px)
-        table.add_row(measured.frame.name, contact, area, rotation, axis, estimate.method, note)
+        note = estimate.skipped or estimate.declined or ("" if estimate.contact else "no contact")
+        area = str(estimate.contact_area_px) if estimate.contact else "–"
+        table.add_row(measured.frame.name, area, rotation, axis, note)
     console = Console()
     console.print(table)
     in_contact = [measured.estimate for measured in done if measured.estimate.contact]
-    angles = [estimate.rotation_deg for estimate in in_contact if estimate.rotation_deg is not None]
-    line = f"{len(done)} frames, {len(in_contact)} with contact, {len(angles)} with a rotation"
-    if angles:
-        line += f", from {min(angles):+.2f}° to {max(angles):+.2f}°, last {angles[-1]:+.2f}°"
+    rotations = [estimate.rotation_deg for estimate in in_contact if estimate.rotation_deg is not None]
+    method = done[-1].estimate.method
+    line = f"{len(done)} frames, {len(in_contact)} with contact, {len(rotations)} with a rotation (method {method})"
+    if rotations:
+        line += f", from {min(rotations):+.2f}° to {max(rotations):+.2f}°, last {rotations[-1]:+.2f}°"
     console.print(line)

@@ -136,6 +136,19 @@ def test_the_table_the_summary_and_the_plot_are_written(rotating: Path, capsys: 
     assert drawn.std() > 5.0
 
 
+def test_the_table_is_complete_at_80_columns(
+    rotating: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    name = "20261121T143012.250Z_left_finger_005.png"
+    (rotating / "f05.png").rename(rotating / name)
+    run([rotating / name], background=rotating.parent / "background.png", json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert name in "".join(line.split(" ", 1)[0] for line in lines[3:])
+    assert not [line for line in lines if "…" in line]
+
+
 def test_a_missing_background_gives_one_warning(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run([rotating / "f05.png"])
     message = capsys.readouterr()
