@@ -72,10 +72,12 @@ def run_contract(environment: dict[str, str], device: str, driver: str, table: d
     return int(passed[1])
 
 
+@pytest.mark.campaign
 def test_the_sensor_passes_the_contract_suite(environment: dict[str, str]) -> None:
     assert run_contract(environment, "sensor", "opencv_camera", dict(SENSOR_TABLE)) >= 5
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(("object_mm", "options", "least"), [(41.2, ["--gripper-object"], 20), (0.0, [], 6)])
 def test_the_gripper_passes_the_contract_suite(
     environment: dict[str, str], object_mm: float, options: list[str], least: int
@@ -85,6 +87,7 @@ def test_the_gripper_passes_the_contract_suite(
         assert run_contract(environment, "gripper", "text_gripper", table, *options) >= least
 
 
+@pytest.mark.campaign
 def test_the_arm_passes_the_contract_suite(environment: dict[str, str]) -> None:
     with devices(0.0) as ports:
         table = {"host": "127.0.0.1", "port": ports["arm"], "timeout_ms": 1000}

@@ -106,6 +106,7 @@ def test_version_and_check(installed_sandbox: Sandbox) -> None:
     assert installed_sandbox.left_behind == []
 
 
+@pytest.mark.campaign
 def test_a_lift_with_vendor_libraries_and_network_blocked_leaves_only_its_picture(installed_sandbox: Sandbox) -> None:
     done = installed_sandbox.run(
         "-m", "slipguard", "--sim", "--lifts", "1", "--speed", "fast", "--json", "--out", "pictures"

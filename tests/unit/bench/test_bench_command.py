@@ -70,6 +70,7 @@ def test_a_quick_bench_with_further_networks(tmp_path: Path, monkeypatch: pytest
     assert {row.resolution for row in found.peers} == {"120×160", "240×320"}
 
 
+@pytest.mark.campaign
 def test_the_command_writes_json_and_plot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", "--quick", "--json", "--out", str(tmp_path)]) == 0
     found = json.loads(capfd.readouterr().out)

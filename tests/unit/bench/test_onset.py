@@ -15,6 +15,8 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, Skips
 
+pytestmark = pytest.mark.campaign
+
 
 @cache
 def segmenter() -> Segmenter:

@@ -22,6 +22,8 @@ from tests.campaigns.faults.command import describe
 from tests.campaigns.faults.kinds import KINDS, PlannedFault, draw
 from tests.campaigns.faults.trial import TrialResult
 
+pytestmark = pytest.mark.campaign
+
 
 def planned(*plans: tuple[str, float, float]) -> tuple[PlannedFault, ...]:
     return tuple(PlannedFault(KINDS[name], at_s, for_s) for name, at_s, for_s in plans)

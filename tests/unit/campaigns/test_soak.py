@@ -20,6 +20,8 @@ from tests.campaigns.soak.resources import ResourceSample, take_sample
 from tests.campaigns.soak.run import SoakResult
 from tests.campaigns.soak.settings import SoakSettings
 
+pytestmark = pytest.mark.campaign
+
 STILL = ResourceSample(0.0, 100.0, 10.0, 50_000, 20, 3, 12, 2, 4, 5, 8.0, 2.0)
 EMPTY = replace(STILL, tasks=1, threads=1, files=5, children=0)
 LIMITS = StorageLimits(30, 100.0, 50.0)

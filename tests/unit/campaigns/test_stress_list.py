@@ -20,6 +20,8 @@ from slipguard.tools.parallel import Workers
 from tests.campaigns.command_line import run as cli
 from tests.campaigns.stress_list import batches, run_full_list
 
+pytestmark = pytest.mark.campaign
+
 
 def short(*names: str) -> tuple[TrialFamily, ...]:
     """Return families of six trials in three batches; continuous ones of two trials in one batch."""

@@ -36,7 +36,7 @@ def real_ones() -> list[NDArray[np.uint8]]:
 
 @pytest.fixture(scope="module")
 def many() -> list[RenderedSample]:
-    return [render_sample(seed) for seed in range(0, 400, 2)]
+    return [render_sample(seed) for seed in range(0, 400, 4)]
 
 
 def test_a_seed_gives_the_same_frame_regardless_of_earlier_draws() -> None:

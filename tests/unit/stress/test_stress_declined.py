@@ -24,6 +24,8 @@ from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures, print_table
 from slipguard.stress.runner import FAMILIES, MIN_JUDGED_TRIALS, StressOutcome, run, select_families
 
+pytestmark = pytest.mark.campaign
+
 
 class DecliningPipeline:
     """A pipeline that declines every frame."""
