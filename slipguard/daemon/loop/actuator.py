@@ -10,6 +10,7 @@ from typing import Generic, Protocol, TypeGuard, TypeVar
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
+from slipguard.daemon.loop.driver_failure import close_contained, failure_reason
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 
 S_co = TypeVar("S_co", covariant=True)
@@ -36,12 +37,14 @@ class Actuator(Generic[S]):
     one is urgent too); a command that has begun runs to its end. A failed command is not repeated, and a command given
     while the device is gone is dropped: the controller sees the state and commands again. The exception is the device's
     own `stop`, which is tried even then, because it may need less than the whole device. Its error is reported once.
+    After an unexpected exception of the driver the device is closed and tried again, too.
 
     Args:
         poll_s: Time between two reads of the state.
         retry_s: Sets the pauses before a missing device is tried again.
         on_change: Called when the device's health changes, and with the state that follows a command.
         on_refusal: Receives the reason why a command was refused, in one line.
+        state_type: Type of the device's state; another one counts as an error of the driver.
     """
 
     def __init__(
@@ -52,6 +55,7 @@ class Actuator(Generic[S]):
         retry_s: float,
         on_change: Callable[[], None],
         on_refusal: Callable[[str], None],
+        state_type: type | None = None,
     ) -> None:
         self.name = name
         self.health = Health(name)
@@ -69,6 +73,7 @@ class Actuator(Generic[S]):
         self._reported: str | None = None
         self._on_change = on_change
         self._on_refusal = on_refusal
+        self._state_type = state_type
 
     def command(self, action: Action, *, urgent: bool = False) -> None:
         """Carry out `action` as soon as the device is free. urgent: only an urgent command may replace it."""
@@ -95,14 +100,14 @@ class Actuator(Generic[S]):
                     if self._is_stop(pending):
                         self._commands.put(pending)
                     await self._serve()
-                except DeviceError as error:
-                    self.health.set_disconnected(str(error))
+                except Exception as error:
+                    self.health.set_disconnected(failure_reason(self._device, error, self.health))
                     self.newest = None
                     self._on_change()
-                    await self._device.close()
+                    await close_contained(self._device, self.health)
                     await self._wait_to_retry()
         finally:
-            await self._device.close()
+            await close_contained(self._device, self.health)
 
     def _is_stop(self, action: Action | None) -> TypeGuard[Action]:
         return action is not None and action == getattr(self._device, "stop", None)
@@ -127,10 +132,16 @@ class Actuator(Generic[S]):
     async def _try_stop(self, stop: Action) -> None:
         try:
             await stop()
-        except (CommandRefused, DeviceError) as error:
-            if str(error) != self._reported:
-                self._reported = str(error)
+        except Exception as error:
+            reason = failure_reason(self._device, error, self.health)
+            if reason != self._reported:
+                self._reported = reason
                 self._on_refusal(self._reported)
+
+    def _checked(self, state: S) -> S:
+        if self._state_type is not None and not isinstance(state, self._state_type):
+            raise TypeError(f"state() returned {type(state).__name__}, not {self._state_type.__name__}")
+        return state
 
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
@@ -143,7 +154,7 @@ class Actuator(Generic[S]):
                     await action()
                 if action is not None or loop.time() >= next_poll_s:
                     asked_at_s = loop.time()
-                    self.newest = await self._device.state()
+                    self.newest = self._checked(await self._device.state())
                     self.round_trips_s.append(loop.time() - asked_at_s)
                     self.polled += 1
                     if action is not None or not self.health.ready:

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
+from slipguard.daemon.loop.driver_failure import close_contained, failure_reason
 from slipguard.devices import Frame, TactileSensor
-from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, SlipguardError
+from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen
 
 REOPEN_S = 2.0
 """A connected sensor that delivers no good frame for this time is closed and opened again."""
@@ -94,14 +95,18 @@ class SensorCapture:
         while True:
             try:
                 await self._stream()
-            except SlipguardError as error:
+            except Exception as error:
                 self.streaming = False
                 self.newest_frame = None
-                self.health.set_disconnected(str(error))
+                self.health.set_disconnected(failure_reason(self.sensor, error, self.health))
                 self._on_change()
-                await self.sensor.close()
+                await self.close()
                 raise_if_cancelled()
                 await self._backoff.wait()
+
+    async def close(self) -> None:
+        """Close the sensor."""
+        await close_contained(self.sensor, self.health)
 
     def refuse_frame(self, reason: str) -> None:
         """Count a frame that was received but cannot be processed."""

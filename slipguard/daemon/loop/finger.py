@@ -9,8 +9,10 @@ from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
 from slipguard.control.messages import Condition, FingerHealth
+from slipguard.daemon.loop.async_tools import Backoff
 from slipguard.daemon.loop.capture import SensorCapture
 from slipguard.daemon.loop.device_health import Health
+from slipguard.daemon.loop.driver_failure import failure_reason
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import SlipguardError
 from slipguard.perception.contact.patch import Patch
@@ -124,6 +126,7 @@ class Finger:
         self._make_pipeline = make_pipeline
         self._pipeline_serial: str | None = None
         self._on_change = on_change
+        self._retry_s = retry_s
         self._peer: Finger | None = None
         self._refresh_s = 0.0
         self._wants_reset = False
@@ -182,11 +185,12 @@ class Finger:
                 group.create_task(self.capture.run(), name=f"{self.name}: capture")
                 group.create_task(self._perceive(), name=f"{self.name}: perceive")
         finally:
-            await self.capture.sensor.close()
+            await self.capture.close()
 
     async def _perceive(self) -> None:
         loop, capture = asyncio.get_running_loop(), self.capture
         used: PerceptionPipeline | None = None
+        backoff = Backoff(self._retry_s)
         while True:
             frame, received_at_s = await capture.frames.next()
             pipeline = self.pipeline
@@ -194,16 +198,21 @@ class Finger:
                 continue
             new_pipeline, used = pipeline is not used, pipeline
             new_reference, self._wants_reset = self._wants_reset, False
-            if new_reference:
-                pipeline.reset_reference()
             try:
+                if new_reference:
+                    pipeline.reset_reference()
                 estimate = self._kept_estimate(frame, pipeline)
                 if estimate is None:
                     estimate = await self._worker.run(pipeline.process, frame)
-            except SlipguardError as error:
-                capture.refuse_frame(str(error))
-                self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=str(error)))
+            except Exception as error:
+                reason = failure_reason(pipeline, error, self.health)
+                capture.refuse_frame(reason)
+                self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=reason))
+                if not isinstance(error, SlipguardError):
+                    self._drop_estimate()
+                    await backoff.wait()
                 continue
+            backoff.reset()
             patch = pipeline.last_patch if self.observers else None
             self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch))
             if not capture.streaming:

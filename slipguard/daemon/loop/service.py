@@ -86,6 +86,7 @@ class Service:
         self.observation: Observation | None = None
         self._controller = controller
         self._gripper_device = gripper
+        self._gripper_limits_n = gripper.force_limits_n
         self._arm_device = arm
         self._wake = asyncio.Event()
         self._workers = {name: make_worker(name) for name in FINGERS}
@@ -99,9 +100,11 @@ class Service:
             left.skip_frames_after(right, config.perception.refresh_s)
             right.skip_frames_after(left, config.perception.refresh_s)
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning
+            "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning, GripperState
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning)
+        self.arm: Actuator[ArmState] = Actuator(
+            "arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning, ArmState
+        )
         self._requests = RequestQueue()
         self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
@@ -224,7 +227,7 @@ class Service:
             gripper=self.gripper.newest,
             arm=self.arm.newest,
             request=request,
-            gripper_limits_n=self._gripper_device.force_limits_n,
+            gripper_limits_n=self._gripper_limits_n,
         )
 
     def _take_new_estimates(self) -> dict[str, TimedEstimate]:

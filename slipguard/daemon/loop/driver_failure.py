@@ -1,0 +1,47 @@
+"""Contain what a driver or a finger's pipeline does not foresee: name it, log where it happened, and go on."""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+from typing import Protocol
+
+import structlog
+
+from slipguard.daemon.loop.device_health import Health
+from slipguard.errors import SlipguardError
+
+log = structlog.get_logger()
+
+
+class Closable(Protocol):
+    """What all devices have in common."""
+
+    async def close(self) -> None: ...
+
+
+def failure_reason(source: object, error: Exception, health: Health) -> str:
+    """Return in one line why a device failed.
+
+    An unexpected exception is an error in the code of `source`: the line names its class and the place, and the first
+    time in a row the log gets the traceback.
+    """
+    if isinstance(error, SlipguardError):
+        return str(error)
+    kind = type(source)
+    place = traceback.extract_tb(error.__traceback__)[-1:]
+    where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in place)
+    text = " ".join(str(error).split())
+    what = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    reason = f"error in {kind.__module__}.{kind.__qualname__}{where}: {what}; tried again, the grip stays"
+    if reason != health.reason:
+        log.error(f"{health.name}: {reason}", exc_info=error)
+    return reason
+
+
+async def close_contained(device: Closable, health: Health) -> None:
+    """Close a device; an exception, which the ports do not allow, is logged."""
+    try:
+        await device.close()
+    except Exception as error:
+        log.error(f"{health.name}: error while closing {type(device).__qualname__}", exc_info=error)

@@ -1,0 +1,125 @@
+"""An exception that a driver or a pipeline does not foresee ends neither the guard nor the daemon, and is named."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+import pytest
+import structlog
+from loop_cell import Cell, play
+from structlog.testing import capture_logs
+
+from slipguard.control.reports import FaultCode
+from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest
+
+FAILURES = [TypeError("'NoneType' object is not subscriptable"), MemoryError(), ExceptionGroup("two", [OSError(5)])]
+
+
+def raising(error: Exception) -> Callable[..., object]:
+    async def fail(*arguments: object) -> object:
+        raise error
+
+    return fail
+
+
+async def returning_a_dict() -> dict[str, float]:
+    return {"width_mm": 20.0}
+
+
+def reported(cell: Cell, device: str, what: str) -> bool:
+    return any(line.startswith(f"{device}: error in ") and what in line for line in cell.service.event_log.lines)
+
+
+@pytest.mark.parametrize("error", FAILURES)
+@pytest.mark.parametrize(("device", "code"), [("gripper", FaultCode.GRIPPER_SILENT), ("arm", FaultCode.ARM_SILENT)])
+def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
+    device: str, code: FaultCode, error: Exception
+) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        driver = getattr(cell, device)
+        driver.state = raising(error)
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is code
+        await cell.until(lambda: reported(cell, device, type(error).__name__), 1.0)
+        assert reported(cell, device, f"loop_doubles.Logged{device.capitalize()} (test_driver_failures.py, line ")
+        assert not cell.service.devices[device].health.ready
+        del driver.state
+        await cell.until(lambda: not cell.service.waiting_for, 2.0)
+        await cell.submit(ClearRequest())
+        await cell.until(cell.steady)
+        assert [what for _, what, _ in cell.gripper.commands if what not in ("hold", "halt")] == []
+
+    play(Cell(), scene)
+
+
+@pytest.mark.parametrize("error", FAILURES)
+@pytest.mark.parametrize("method", ["open", "close", "next_frame"])
+def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: str, error: Exception) -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        sensor = cell.sensors["left"]
+        setattr(sensor, method, raising(error))
+        if method != "next_frame":
+            cell.world.faults.fail("left", "disconnect")
+            await asyncio.sleep(0.2)
+            cell.world.faults.repair("left")
+        await asyncio.sleep(1.5)
+        if method != "close":
+            assert reported(cell, "left", f"{type(sensor).__qualname__} (test_driver_failures.py, line ")
+        await cell.lift()
+        assert cell.phase is Phase.HOLDING
+        delattr(sensor, method)
+        await cell.until(lambda: not cell.service.waiting_for, 3.0)
+
+    play(Cell("wrench", 1), scene)
+
+
+@pytest.mark.parametrize("error", FAILURES)
+def test_a_pipeline_that_raises_pauses_and_is_tried_again(error: Exception) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        pipeline, calls = cell.perceivers["left"][-1], 0
+
+        def fail(frame: object) -> None:
+            nonlocal calls
+            calls += 1
+            raise error
+
+        pipeline.process = fail  # type: ignore[assignment,method-assign]
+        await asyncio.sleep(2.0)
+        assert 2 <= calls <= 6, "at 60 frames per second"
+        assert reported(cell, "left", "loop_doubles.Oracle (test_driver_failures.py, line ")
+        assert cell.phase is Phase.HOLDING, "the other finger guards"
+        del pipeline.process
+        await cell.until(lambda: not cell.service.waiting_for, 3.0)
+
+    play(Cell(), scene)
+
+
+def test_a_state_of_the_wrong_type_is_an_error_of_the_driver() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        cell.gripper.state = returning_a_dict  # type: ignore[assignment,method-assign]
+        await cell.until(lambda: reported(cell, "gripper", "state() returned dict, not GripperState"), 1.0)
+
+    play(Cell(), scene)
+
+
+def test_the_log_gets_the_traceback_once() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.gripper.state = raising(TypeError("no"))  # type: ignore[assignment,method-assign]
+        await asyncio.sleep(5.0)
+
+    structlog.reset_defaults()
+    with capture_logs() as entries:
+        play(Cell(), scene)
+    (entry,) = [entry for entry in entries if "exc_info" in entry]
+    assert entry["event"].startswith("gripper: error in loop_doubles.LoggedGripper")
+    assert isinstance(entry["exc_info"], TypeError)
