@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import grp
 import os
 import secrets
@@ -31,10 +32,10 @@ class UnixSocket:
 
     def close(self) -> None:
         """Close the socket, and remove the file unless another daemon has replaced it."""
-        self.listening.close()
         with contextlib.suppress(OSError):
             if self.path.stat().st_ino == self.inode:
                 self.path.unlink()
+        self.listening.close()  # last: until then the kernel gives the number of its inode to no other file
 
 
 def bind(path: Path) -> UnixSocket:
@@ -48,19 +49,31 @@ def bind(path: Path) -> UnixSocket:
         )
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _remove_stale(path)
-        made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            made.bind(str(path))
-            _set_permissions(path)  # before `listen`: until then, no client can connect
-            made.setblocking(False)
-            made.listen()  # at once: a socket that does not listen is taken for a dead daemon's
-            return UnixSocket(made, path, path.stat().st_ino)
-        except BaseException:
-            made.close()
-            raise
+        with _one_at_a_time(path.parent):
+            _remove_stale(path)
+            made = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+            try:
+                made.bind(str(path))
+                _set_permissions(path)  # before `listen`: until then, no client can connect
+                made.setblocking(False)
+                made.listen()  # at once: a socket that does not listen is taken for a dead daemon's
+                return UnixSocket(made, path, path.stat().st_ino)
+            except BaseException:
+                made.close()
+                raise
     except OSError as error:
         raise ConfigError(f"{_name(path)}: cannot be created: {error.strerror}") from error
+
+
+@contextlib.contextmanager
+def _one_at_a_time(folder: Path) -> Iterator[None]:
+    """Let other daemons wait: of two that start, the second could remove the socket that the first has just bound."""
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
 
 
 def _set_permissions(path: Path) -> None:
