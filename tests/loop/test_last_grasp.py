@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
 import pytest
+import structlog
 from loop_cell import Cell, play
+from structlog.testing import capture_logs
 
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import Observation, StepOutput
@@ -16,6 +18,7 @@ from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import Adoption, GraspState, HandsOff, PersonNear, Phase, RememberedGrip
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.store import dated_file
 from slipguard.daemon.store.disk_writer import RETRY_S
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
@@ -269,5 +272,43 @@ def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
         assert restore_control_state(shelf).grasp.person.forbids_force
         await cell.submit(ClearRequest())
         await cell.until(lambda: not restore_control_state(shelf).grasp.person.forbids_force)
+
+    play(Cell("wrench", 1), scene)
+
+
+@pytest.mark.parametrize("ahead", [timedelta(minutes=1), timedelta(days=400)])
+def test_a_note_from_the_future_counts_as_none(tmp_path: Path, ahead: timedelta) -> None:
+    """The clock of a computer with an empty battery, before and after it was set."""
+    shelf, now = StateDir(tmp_path), datetime.now(UTC)
+    shelf.save_last_grasp(LastGrasp(saved_at=now + ahead, force_n=90.0, width_mm=18.0))
+    structlog.reset_defaults()
+    with capture_logs() as entries:
+        assert restore_control_state(shelf, now) == ControlState()
+    assert "in the future; check the computer's clock" in entries[-1]["reason"]
+
+
+@pytest.mark.parametrize("step", [timedelta(hours=-5), timedelta(minutes=-1), timedelta(hours=5)])
+def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
+    tmp_path: Path, step: timedelta, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shelf = StateDir(tmp_path)
+
+    class Stepped(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+            return datetime.now(tz) + step
+
+    async def scene(cell: Cell) -> None:
+        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
+        await cell.grasp()
+        before = await noted(shelf)
+        monkeypatch.setattr(dated_file, "datetime", Stepped)
+        assert await noted(shelf) == before
+        await cell.lift()
+        await asyncio.sleep(0.5)
+        assert cell.phase is Phase.HOLDING
+        assert (await noted(shelf)).force_n == cell.service.state.grip.target_n
+        monkeypatch.undo()
+        assert (await noted(shelf)).force_n == cell.service.state.grip.target_n
 
     play(Cell("wrench", 1), scene)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from typing import Protocol
 
 import structlog
@@ -25,12 +25,11 @@ from slipguard.control.state import (
     force_applied,
 )
 from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.store.dated_file import save_time
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.daemon.store.state_dir import LastGrasp
 from slipguard.errors import SlipguardError
 
-VALID_FOR = timedelta(hours=1)
-"""An older grip probably belongs to another object. A fault stays latched until it is cleared, at any age."""
 REFRESH_S = 300.0
 """A grip that does not change is saved again after this time, because its age decides whether it is used."""
 WIDTH_STEP_MM = 0.5
@@ -50,7 +49,10 @@ class LastGraspStore(Protocol):
 
 
 def restore_control_state(store: LastGraspStore, now: datetime | None = None) -> ControlState:
-    """Return the controller's state for a start: the default if the file is missing, old or damaged (then logged)."""
+    """Return the controller's state for a start: the default if the file is missing, old or damaged (then logged).
+
+    A fault stays latched until it is cleared, at any age. now: see `DatedFile.outdated`.
+    """
     try:
         last = store.load_last_grasp()
     except SlipguardError as error:
@@ -59,7 +61,10 @@ def restore_control_state(store: LastGraspStore, now: datetime | None = None) ->
     if last is None:
         return ControlState()
     grasp = GraspState()
-    if (now or datetime.now(UTC)) - last.saved_at <= VALID_FOR:
+    outdated = last.outdated(now)
+    if outdated is not None:
+        log.warning("the grip from before the restart is not used", reason=outdated)
+    else:
         known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm)
         grip = known if last.force_n > 0.0 else None
         grasp = replace(grasp, adoption=Adoption(remembered=grip), person=PersonNear(last.person_near))
@@ -144,7 +149,7 @@ class LastGraspSaver:
         grip = new.grip or NO_GRIP
         self._store.save_last_grasp(
             LastGrasp(
-                saved_at=datetime.now(UTC),
+                **save_time(),
                 force_n=grip.force_n,
                 width_mm=grip.width_mm,
                 applied=grip.applied,

@@ -11,19 +11,20 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 import structlog
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from slipguard.atomic_file import write_atomically
 from slipguard.control.state import AT_STAKE, Phase
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
+from slipguard.daemon.store.dated_file import DatedFile, save_time
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
@@ -31,8 +32,6 @@ from slipguard.perception.stored_reference import ResumingPipeline, StoredRefere
 
 REFERENCES = "references"
 """Folder in the state directory."""
-VALID_FOR = timedelta(hours=1)
-"""An older reference probably belongs to another object."""
 ROTATION_STEP_DEG = 1.0
 """A smaller change of the rotation is not written, ..."""
 REFRESH_S = 300.0
@@ -41,12 +40,9 @@ Rotation = Annotated[float, Field(ge=-1e6, le=1e6)]
 log = structlog.get_logger()
 
 
-class _ReferenceFacts(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
+class _ReferenceFacts(DatedFile):
     format: Literal[1] = 1
     serial: str
-    saved_at: datetime
     rotation_deg: Rotation
     earlier_rotation_deg: Rotation
     sha256: str
@@ -74,7 +70,7 @@ class ReferenceStore:
             return
         facts = _ReferenceFacts(
             serial=serial,
-            saved_at=datetime.now(UTC),
+            **save_time(),
             rotation_deg=known.rotation_deg,
             earlier_rotation_deg=known.earlier_rotation_deg,
             sha256=self._sha256[finger],
@@ -94,7 +90,7 @@ class ReferenceStore:
             png = path.with_suffix(".png").read_bytes()
         except (OSError, ValidationError) as error:
             raise InputError(f"{path}: cannot be read; a new reference will be taken") from error
-        if facts.serial != serial or (now or datetime.now(UTC)) - facts.saved_at > VALID_FOR:
+        if facts.serial != serial or facts.outdated(now) is not None:
             return None
         image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
         intact = hashlib.sha256(png).hexdigest() == facts.sha256

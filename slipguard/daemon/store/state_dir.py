@@ -25,6 +25,7 @@ from slipguard.atomic_file import write_atomically
 from slipguard.config_errors import describe_validation_error
 from slipguard.control.reports import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
+from slipguard.daemon.store.dated_file import DatedFile
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
 
@@ -50,8 +51,8 @@ class _BackgroundFacts(_StateFile):
     copy_of: int | None = None
 
 
-class LastGrasp(_StateFile):
-    """How an object was held: force per finger, width of the jaws; saved_at with time zone.
+class LastGrasp(DatedFile):
+    """How an object was held: force per finger, width of the jaws.
 
     force_n: last commanded; 0 if nothing was held. applied: the gripper had confirmed that force. person_near: the arm
     was in a protective or emergency stop, or had been in one since the fault, so the force was not to be increased.
@@ -61,7 +62,6 @@ class LastGrasp(_StateFile):
     """
 
     format: Literal[5] = 5
-    saved_at: datetime
     force_n: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     width_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     applied: bool = True
@@ -72,7 +72,7 @@ class LastGrasp(_StateFile):
     closing_interrupted: bool = False
 
 
-_S = TypeVar("_S", bound=_StateFile)
+_S = TypeVar("_S", bound=BaseModel)
 KEPT = 20
 """Background images of one sensor. The oldest beyond that are deleted, except the first one of the present gel."""
 

@@ -16,7 +16,8 @@ from drawn_masks import drawn
 
 from slipguard.atomic_file import write_atomically as really_write
 from slipguard.control.state import Phase
-from slipguard.daemon.store.last_reference import VALID_FOR, ReferenceSaver, ReferenceStore, restore_reference
+from slipguard.daemon.store.dated_file import VALID_FOR
+from slipguard.daemon.store.last_reference import ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.errors import InputError
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
