@@ -43,6 +43,7 @@ def run(
     from slipguard.config import read_config, sim_config
     from slipguard.daemon import log_setup as log
     from slipguard.daemon import run as root
+    from slipguard.daemon.lifecycle import exit_if_stuck
 
     settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)
     log.configure(json_lines=log_json)
@@ -50,9 +51,9 @@ def run(
     if sim:
         from slipguard.sim_lifts.sim_daemon import run_simulated_cell
 
-        daemon = run_simulated_cell(settings, bind_api)
+        daemon = run_simulated_cell(settings, bind_api, exit_if_stuck)
     else:
-        daemon = root.run(settings, bind_api, read_config=lambda: read_config(config))
+        daemon = root.run(settings, bind_api, read_config=lambda: read_config(config), on_stop=exit_if_stuck)
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # shows where the loop hung if the systemd watchdog ends the daemon
     with default_interrupts():

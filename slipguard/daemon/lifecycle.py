@@ -10,10 +10,13 @@ from collections.abc import Callable
 
 import structlog
 
+from slipguard.daemon import log_setup
+
 CANCEL_AGAIN_S = 6.0
 """The web process may take 5 s for its last responses, and the recorder as long for its file."""
 EXIT_S = 8.0
 """A hanging thread or loop cannot be cancelled. Less than `TimeoutStopSec` of the systemd unit."""
+FLUSH_S = 0.5
 log = structlog.get_logger()
 
 
@@ -40,51 +43,61 @@ def watchdog_period_s() -> float | None:
     return int(raw) / 2e6 if raw.isdigit() and int(raw) > 0 else None
 
 
-class Shutdown:
-    """Cancels tasks again that did not end, and finally exits the process. The grip stays as it is in any case.
+def ignore_signal(name: str) -> None:
+    """Log a signal that would end the process by default; nothing else happens."""
+    log.warning(f"{name} ignored; SIGTERM stops slipguard, SIGHUP reloads the configuration")
 
-    To be made in the task that waits for all others.
+
+def exit_if_stuck(exit_process: Callable[[int], None] = os._exit) -> threading.Timer:
+    """Exit the process `EXIT_S` from now, unless it has ended by then. The grip stays as it is.
+
+    To be called when the daemon is asked to stop, and not to be cancelled: after the tasks have ended, asyncio and
+    Python wait for each thread without limit, for example for one that reads from a dead disk.
 
     Args:
         exit_process: Ends the process at once, with this exit status.
     """
+    loop = asyncio.get_running_loop()
 
-    def __init__(self, exit_process: Callable[[int], None] = os._exit) -> None:
+    def leave() -> None:
+        try:
+            tasks = _names([task for task in asyncio.all_tasks(loop) if task.cancelling()])
+            threads = sorted(one.name for one in threading.enumerate() if not one.daemon and one.name != "MainThread")
+            text = f"did not end within {EXIT_S:g} s of the stop; the process exits, the grip stays"
+            log.error(f"tasks or threads {text}", tasks=tasks, threads=threads)
+            log_setup.flush(FLUSH_S)
+        finally:
+            exit_process(1)
+
+    timer = threading.Timer(EXIT_S, leave)  # a thread, because the loop itself may hang
+    timer.daemon = True
+    timer.start()
+    return timer
+
+
+class Shutdown:
+    """Cancels tasks again that did not end. To be made in the task that waits for all others."""
+
+    def __init__(self) -> None:
         self._waiting_task = asyncio.current_task()
         self._loop = asyncio.get_running_loop()
-        self._exit_process = exit_process
-        self._cancel_timer: asyncio.TimerHandle | None = None
-        self._exit_timer: threading.Timer | None = None
+        self._timer: asyncio.TimerHandle | None = None
 
     def begin(self) -> None:
-        """Start the timers; to be called once, when the other tasks are about to be cancelled."""
-        self._cancel_timer = self._loop.call_later(CANCEL_AGAIN_S, self._cancel_again)
-        self._exit_timer = threading.Timer(EXIT_S, self._exit)  # a thread, because the loop itself may hang
-        self._exit_timer.daemon = True
-        self._exit_timer.start()
+        """Start the timer; to be called once, when the other tasks are about to be cancelled."""
+        self._timer = self._loop.call_later(CANCEL_AGAIN_S, self._cancel_again)
 
     def end(self) -> None:
-        """Stop the timers: all tasks have ended. Idempotent."""
-        if self._cancel_timer is not None:
-            self._cancel_timer.cancel()
-        if self._exit_timer is not None:
-            self._exit_timer.cancel()
-
-    def _running(self) -> list[asyncio.Task[object]]:
-        return [task for task in asyncio.all_tasks(self._loop) if task.cancelling() and task is not self._waiting_task]
+        """Stop the timer: all tasks have ended. Idempotent."""
+        if self._timer is not None:
+            self._timer.cancel()
 
     def _cancel_again(self) -> None:
-        running = self._running()
+        every = asyncio.all_tasks(self._loop)
+        running = [task for task in every if task.cancelling() and task is not self._waiting_task]
         log.error(f"tasks did not end within {CANCEL_AGAIN_S:g} s of the stop; cancelled again", tasks=_names(running))
         for task in running:
             task.cancel()
-
-    def _exit(self) -> None:
-        try:
-            tasks = _names(self._running())
-            log.error(f"tasks did not end within {EXIT_S:g} s of the stop; process exits, the grip stays", tasks=tasks)
-        finally:
-            self._exit_process(1)
 
 
 def _names(tasks: list[asyncio.Task[object]]) -> list[str]:

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from slipguard.control.control_step import control_step
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.paths import socket_path
-from slipguard.daemon.lifecycle import Shutdown
+from slipguard.daemon.lifecycle import Shutdown, ignore_signal
 from slipguard.daemon.loop.device_health import NOT_TRIED
 from slipguard.daemon.loop.finger import PerceptionPipeline, ThreadWorker, Worker
 from slipguard.daemon.loop.gel_monitor import GelMonitor
@@ -45,6 +46,8 @@ from slipguard.thread_priority import set_worker_priority
 SWITCH_S = 0.0005
 """Python threads give way after this time. Python's default of 5 ms would make the loop wait for a worker."""
 FIRST_RESPONSE_S = 10.0
+IGNORED = (signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM)
+"""They would end the process without a word; a script that takes slipguard for another program may send them."""
 log = structlog.get_logger()
 
 ServeApi = Callable[[DaemonApi, Callable[[str], None]], Coroutine[None, None, None]]
@@ -142,6 +145,7 @@ async def run(
     build: Callable[..., Service] = build_service,
     recorder: Callable[[Service, Path], Recorder] = make_recorder,
     read_config: Callable[[], Config] | None = None,
+    on_stop: Callable[[], object] = lambda: None,
 ) -> None:
     """Guard until SIGINT or SIGTERM and serve the API; the grip stays as it is at the end.
 
@@ -153,6 +157,7 @@ async def run(
         build: Makes the service.
         recorder: Makes the recorder of a service.
         read_config: Reads the configuration again on SIGHUP; None: SIGHUP ends the process.
+        on_stop: Called in the loop when a signal asks the daemon to stop.
     """
     service = build(config, world=world)
     _add_savers(service, StateDir(config.state.directory))
@@ -163,14 +168,16 @@ async def run(
     stop, hangup, changed = asyncio.Event(), asyncio.Event(), asyncio.Event()
     loop, shutdown = asyncio.get_running_loop(), Shutdown()
     loop.set_default_executor(ThreadPoolExecutor(thread_name_prefix="slipguard", initializer=set_worker_priority))
-    signals = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
+    signals: dict[signal.Signals, Callable[[], object]] = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
     if read_config is not None:
         signals[signal.SIGHUP] = hangup.set
+    signals |= {number: partial(ignore_signal, number.name) for number in IGNORED}
     for number, handler in signals.items():
         loop.add_signal_handler(number, handler)
 
     async def until_stopped() -> None:
         await stop.wait()
+        on_stop()
         shutdown.begin()
         raise _Stopped
 

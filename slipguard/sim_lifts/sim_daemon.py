@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from itertools import cycle
 
 import structlog
@@ -21,8 +22,8 @@ ROOM_MM = 60.0
 log = structlog.get_logger()
 
 
-async def run_simulated_cell(config: Config, bind_api: root.BindApi) -> None:
-    """Run the daemon in a new simulated world until it is stopped. bind_api: see `slipguard.daemon.run`."""
+async def run_simulated_cell(config: Config, bind_api: root.BindApi, on_stop: Callable[[], object]) -> None:
+    """Run the daemon in a new simulated world until it is stopped. bind_api, on_stop: see `slipguard.daemon.run`."""
     world = World(seed=0)
 
     async def place_objects(service: Service) -> None:
@@ -39,7 +40,7 @@ async def run_simulated_cell(config: Config, bind_api: root.BindApi) -> None:
             log.info("an object lies between the jaws", object=name)
             grasped = False
 
-    await root.run(config, bind_api, world=world, extra_task=place_objects)
+    await root.run(config, bind_api, world=world, extra_task=place_objects, on_stop=on_stop)
 
 
 def _is_open(service: Service) -> bool:

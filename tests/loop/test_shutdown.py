@@ -19,7 +19,7 @@ from structlog.testing import capture_logs
 from slipguard.config import parse_config
 from slipguard.daemon import lifecycle
 from slipguard.daemon import run as root
-from slipguard.daemon.lifecycle import CANCEL_AGAIN_S, EXIT_S, Shutdown
+from slipguard.daemon.lifecycle import CANCEL_AGAIN_S, EXIT_S, FLUSH_S, exit_if_stuck
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.devices import DriverContext, Frame
@@ -154,28 +154,15 @@ async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
         codes.append(code)
         left.set()
 
-    ending = Shutdown(leave)
     structlog.reset_defaults()
     with capture_logs() as said:
-        ending.begin()
+        exit_if_stuck(leave)
         assert left.wait(30.0), "the loop stands still meanwhile"
-    ending.end()
     assert codes == [1]
     assert "process exits" in said[-1]["event"]
-
-
-async def test_a_shutdown_that_ended_does_not_exit_the_process() -> None:
-    codes: list[int] = []
-    Shutdown(codes.append).end()
-    ending = Shutdown(codes.append)
-    ending.begin()
-    ending.end()
-    assert ending._exit_timer is not None
-    ending._exit_timer.join(30.0)
-    assert codes == []
 
 
 def test_systemd_waits_longer() -> None:
     unit = (Path(__file__).parents[2] / "systemd" / "slipguard.service").read_text()
     stop_s = next(float(line.partition("=")[2]) for line in unit.splitlines() if line.startswith("TimeoutStopSec="))
-    assert CANCEL_AGAIN_S < EXIT_S < stop_s
+    assert CANCEL_AGAIN_S < EXIT_S < EXIT_S + FLUSH_S < stop_s
