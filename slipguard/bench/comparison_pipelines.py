@@ -11,7 +11,6 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from slipguard.bench.segmentation_cache import SegmentationCache
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
 from slipguard.perception.estimate import Estimate
@@ -132,7 +131,6 @@ class FrameNetwork:
         self._name = ports[0].name
         self.height, self.width = int(sides[0]), int(sides[1])
         self.threshold = float(self.metadata.get("threshold", "0.5"))
-        self.cache = SegmentationCache()
         self.timing_only = "timing only" in self.metadata.get("purpose", "")
 
     @property
@@ -147,9 +145,6 @@ class FrameNetwork:
 
     def probability(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the probability of contact at the network's size, (H, W) float32."""
-        return self.cache.get(image, self._infer)
-
-    def _infer(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
         small: Any = image
         if image.shape[:2] != (self.height, self.width):
             small = cv2.resize(image, (self.width, self.height), interpolation=cv2.INTER_AREA)

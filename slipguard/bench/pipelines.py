@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -11,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.bench.comparison_pipelines import BackgroundSubtraction, FrameNetwork, PaperPipeline
-from slipguard.bench.segmentation_cache import CLOCK, CachedSegmenter
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.errors import ModelError
@@ -63,15 +63,6 @@ class BenchPipeline:
         plain = f"{self.network} + {self.estimator}"
         return plain if self.skips == ALL_SKIPS or self.kind == "subtraction" else f"{plain}, no skipping"
 
-    def clear_cache(self, enabled: bool = False) -> None:
-        """Forget the network's outputs. enabled: share those of the next grasp between pipelines."""
-        if self.kind == "subtraction":
-            return
-        if self.sees == "contract":
-            _cached_segmenter(self.path).cache.clear(enabled)
-        else:
-            _frame_network(self.path, self.threads).cache.clear(enabled)
-
     @property
     def large(self) -> bool:
         """Whether a frame takes tens of milliseconds or more."""
@@ -92,14 +83,14 @@ class BenchPipeline:
         if self.kind == "paper":
             network = _frame_network(self.path, self.threads)
             return PaperPipeline(network, masks if network.timing_only else None)
-        segmenter = _cached_segmenter(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
+        segmenter = _segmenter(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
         return Pipeline(
             segmenter,
             PerceptionSettings.model_validate({"estimator": self.estimator}),
             grasp.background,
             grasp.noise_bgr,
             grasp.px_per_mm,
-            timer=CLOCK,
+            timer=time.perf_counter,
             skips=self.skips,
         )
 
@@ -107,11 +98,6 @@ class BenchPipeline:
 @lru_cache(maxsize=8)
 def _segmenter(path: Path | None) -> Segmenter:
     return Segmenter(path)
-
-
-@lru_cache(maxsize=8)
-def _cached_segmenter(path: Path | None) -> CachedSegmenter:
-    return CachedSegmenter(_segmenter(path))
 
 
 @lru_cache(maxsize=8)

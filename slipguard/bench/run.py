@@ -149,15 +149,11 @@ def _measure(item: _GraspItem) -> dict[str, PipelineResults]:
     begin = next(index for index, shot in enumerate(grasp.shots) if shot.compared) - 1
     if item.mask_every <= STILL_FRAMES:
         begin -= begin % item.mask_every  # a frame at rest that has a mask
-    for pipeline in item.pipelines:
-        pipeline.clear_cache(enabled=True)
     found = {}
     for pipeline in item.pipelines:
         results = found[pipeline.name] = PipelineResults()
         shots = grasp.shots if pipeline.kind == "ours" else grasp.shots[begin : -1 : item.every]
         results.run(pipeline.open(grasp), grasp, shots)
-    for pipeline in item.pipelines:
-        pipeline.clear_cache()
     return found
 
 

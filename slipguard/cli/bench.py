@@ -80,8 +80,7 @@ def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers:
     progress.print(
         f"{len(plan.trials)} lifts with a grip that is too weak ({plan.rendered} with rendered frames), "
         f"{len(plan.gone)} losses of support, {len(plan.tight)} lifts that need nearly the force limit, "
-        f"{sum(one.seconds for one in plan.holds) / 60.0:.0f} minutes of stable holds: about "
-        f"{_duration_text(plan.seconds(workers))}",
+        f"{sum(one.seconds for one in plan.holds) / 60.0:.0f} minutes of stable holds",
         highlight=False,
     )
     with progress_bar("grip controllers") as show:
@@ -100,7 +99,3 @@ def bench_grip(*, quick: bool, seed: int, json: bool, out: Path | None, workers:
         progress.print(line, style="red", highlight=False)
     if failed:
         raise typer.Exit(1)
-
-
-def _duration_text(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100.0 else f"{seconds / 60.0:.0f} minutes"

@@ -150,35 +150,32 @@ def run(
             run_simulated(out, plan, workers, progress)
     else:
         _run_on_cell(out, plan if protocol is not None else None, config, camera, intrinsics)
-    _report(out, None, workers, json)
+    _report(out, workers, json)
 
 
 @app.command()
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of an experiment.")],
-    networks: Annotated[
-        Path | None, typer.Option(help="Also compare the networks (.onnx) in this folder on the recorded frames.")
-    ] = None,
     jobs: Jobs = 0,
     cluster: Cluster = None,
     json: Json = False,
 ) -> None:
     """Write the report of an experiment again: report.html, report.json and plots.
 
-    Example: `slipguard evaluate report eval/ --networks models/`
+    Example: `slipguard evaluate report eval/`
     """
     from slipguard.tools.parallel import Workers
 
-    _report(folder, networks, Workers(jobs, cluster), json)
+    _report(folder, Workers(jobs, cluster), json)
 
 
-def _report(folder: Path, networks: Path | None, workers: Any, json: bool) -> None:
+def _report(folder: Path, workers: Any, json: bool) -> None:
     from slipguard.evaluation.experiment import PAGE, write_report
     from slipguard.evaluation.lift_recording import lift_paths
 
     count = len(list(lift_paths(folder)))
     with count_bar("results", count) as progress:
-        figures = write_report(folder, workers, networks, progress)
+        figures = write_report(folder, workers, progress)
     if json:
         print(jsonlib.dumps(figures))
         return

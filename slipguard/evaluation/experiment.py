@@ -17,7 +17,7 @@ from slipguard.errors import InputError
 from slipguard.evaluation.lift_analysis import LiftResult, analyze, result_from_json
 from slipguard.evaluation.lift_recording import lift_paths, read_lift
 from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
-from slipguard.evaluation.report_data import report_json, segmentation_scores
+from slipguard.evaluation.report_data import report_json
 from slipguard.evaluation.report_html import write_page
 from slipguard.evaluation.report_plots import draw_curves, draw_errors, draw_masks
 from slipguard.evaluation.simulated_lifts import SimulatedLift, record
@@ -95,17 +95,10 @@ def results(out: Path, workers: Workers, progress: Callable[[int], None] = lambd
 PAGE, FIGURES = "report.html", "report.json"
 
 
-def write_report(
-    out: Path,
-    workers: Workers,
-    networks: Path | None = None,
-    progress: Callable[[int], None] = lambda done: None,
-    comparing: Callable[[str], None] = lambda stem: None,
-) -> dict[str, Any]:
+def write_report(out: Path, workers: Workers, progress: Callable[[int], None] = lambda done: None) -> dict[str, Any]:
     """Write report.html, report.json and the PNGs; return the content of report.json. Raises InputError."""
     lifts = results(out, workers, progress)
-    rows = None if networks is None else _networks(out, networks, comparing)
-    report = report_json(lifts, rows)
+    report = report_json(lifts)
     figures = {"errors": out / "errors.png", "curves": out / "curves.png"}
     draw_errors(lifts, figures["errors"])
     draw_curves(lifts, figures["curves"])
@@ -117,16 +110,6 @@ def write_report(
     except OSError as error:
         raise InputError(f"{out}: the report cannot be written ({error.strerror})") from None
     return report
-
-
-def _networks(out: Path, folder: Path, comparing: Callable[[str], None]) -> list[dict[str, Any]]:
-    rows = segmentation_scores(folder)
-    for path in lift_paths(out):
-        comparing(path.stem)
-        data = read_lift(path)
-        for row in rows:
-            row.add(data)
-    return [row.as_json() for row in rows]
 
 
 def _protocol(out: Path) -> LiftProtocol | None:

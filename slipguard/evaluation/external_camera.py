@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -19,6 +18,7 @@ from slipguard.evaluation.camera_calibration import Intrinsics
 from slipguard.evaluation.lift_recording import read_lift
 from slipguard.evaluation.markers import MarkerCorners, MarkerDetector
 from slipguard.recording.ring import SUFFIX
+from slipguard.tools.image_files import read_video
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm")
@@ -84,37 +84,7 @@ def timed_frames(path: Path) -> Iterator[TimedFrame]:
     elif path.suffix.lower() in IMAGES:
         yield 0.0, read_bgr(path)
     else:
-        yield from _video_frames(path)
-
-
-def _video_frames(path: Path) -> Iterator[TimedFrame]:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # errors are reported here, in one line
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    try:
-        if not video.isOpened():
-            raise InputError(f"{path}: not a readable video; is it truncated?")
-        fps = video.get(cv2.CAP_PROP_FPS)
-        expected = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
-        count, last_s = 0, -1.0
-        while True:
-            good, image = video.read()
-            if not good:
-                break
-            at_s = 1e-3 * video.get(cv2.CAP_PROP_POS_MSEC)
-            if at_s <= last_s:  # some containers carry no times
-                at_s = last_s + 1.0 / (fps if fps > 0.0 else IMAGE_FPS)
-            last_s = at_s
-            count += 1
-            yield at_s, np.asarray(image, np.uint8)
-        if count == 0:
-            raise InputError(f"{path}: no frame can be read; the video is truncated or empty")
-        if expected > 0 and count < 0.9 * expected:
-            raise InputError(f"{path}: truncated after {count} of {expected} frames")
-    finally:
-        video.release()
+        yield from read_video(path)
 
 
 def markers_in(path: Path, intrinsics: Intrinsics, start_s: float = 0.0) -> Iterator[MarkerCorners]:

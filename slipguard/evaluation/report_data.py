@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import dice, iou
-from slipguard.errors import InputError, ModelError
-from slipguard.evaluation.lift_analysis import MASK_GAP_S, LiftResult, mask_of
-from slipguard.evaluation.lift_recording import LiftData, LiftFrame
-from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.tools.replay import recorded_settings
+from slipguard.evaluation.lift_analysis import LiftResult
 
 PAPER = {"turn_error_mean_deg": 1.854, "turn_error_sd_deg": 0.988, "turn_error_worst_object_deg": 3.0}
 PAPER_DICE, PAPER_IOU = (0.956, 0.013), (0.914, 0.023)
@@ -93,7 +84,7 @@ def by_object(lifts: list[LiftResult]) -> list[ObjectFigures]:
     return figures
 
 
-def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None = None) -> dict[str, Any]:
+def report_json(lifts: list[LiftResult]) -> dict[str, Any]:
     """Return the content of `report.json`; numbers are rounded, null if not available."""
     objects = by_object(lifts)
     fused = lift_statistics(errors_of(lifts, "fused"))
@@ -143,7 +134,7 @@ def report_json(lifts: list[LiftResult], networks: list[dict[str, Any]] | None =
         "camera_gaps": sum(lift.camera_gaps for lift in lifts),
         "dice": lift_statistics(dices).as_json() if dices else None,
         "iou": lift_statistics(ious).as_json() if ious else None,
-        "networks": networks,
+        "networks": None,  # `python -m tests.campaigns network-table --lifts` compares networks
         "problems": {lift.stem: lift.problem for lift in lifts if lift.problem is not None},
         "paper_real_cell_as_published": PAPER | {"dice": PAPER_DICE[0], "iou": PAPER_IOU[0]},
     }
@@ -155,73 +146,3 @@ def _rounded(value: float | None) -> float | None:
 
 def _mean(values: Sequence[float]) -> float | None:
     return _rounded(float(np.mean(values))) if values else None
-
-
-EVERY = 10
-
-
-class SegmentationScore:
-    """Accumulates the scores of one network over lifts."""
-
-    def __init__(self, path: Path | None) -> None:
-        self.name = "shipped" if path is None else path.stem
-        self._segmenter = Segmenter(path)
-        self._dice: list[float] = []
-        self._iou: list[float] = []
-        self._ms: list[float] = []
-
-    def add(self, data: LiftData) -> None:
-        """Segment the frames of a lift that have a true mask; without true masks, time every tenth frame."""
-        settings = recorded_settings(data.recording)
-        for finger, frames in data.fingers.items():
-            with_image = [one for one in frames if one.image is not None]
-            if not with_image:
-                continue
-            background = settings.background(finger)
-            masks = data.true_masks[finger]
-            if not masks:
-                for one in with_image[::EVERY]:
-                    self._segment(one, background)
-                continue
-            times = np.array([one.record.captured_at_s for one in with_image])
-            for true in masks:
-                near = int(np.argmin(np.abs(times - true.time_s)))
-                if abs(times[near] - true.time_s) <= MASK_GAP_S:
-                    found = self._segment(with_image[near], background)
-                    self._dice.append(dice(found, mask_of(true)))
-                    self._iou.append(iou(found, mask_of(true)))
-
-    def _segment(self, one: LiftFrame, background: NDArray[np.uint8] | None) -> NDArray[np.bool_]:
-        """Return the mask at frame size and record the time it took."""
-        assert one.image is not None
-        image = one.image.pixels()
-        began_s = time.perf_counter()
-        probability = self._segmenter.segment(image, background)
-        self._ms.append(1e3 * (time.perf_counter() - began_s))
-        return np.asarray(cv2.resize(probability, (image.shape[1], image.shape[0])) > self._segmenter.threshold)
-
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "network": self.name,
-            "n": len(self._ms),
-            "dice": lift_statistics(self._dice).as_json(),
-            "iou": lift_statistics(self._iou).as_json(),
-            "ms_median": round(float(np.median(self._ms)), 2) if self._ms else None,
-        }
-
-
-def segmentation_scores(folder: Path) -> list[SegmentationScore]:
-    """Return the shipped network and every usable one of a folder. Raises InputError if there is none."""
-    files = sorted(folder.glob("*.onnx")) if folder.is_dir() else []
-    if not files:
-        raise InputError(f"{folder}: no .onnx networks in this folder")
-    rows = [SegmentationScore(None)]
-    refused = []
-    for file in files:
-        try:
-            rows.append(SegmentationScore(file))
-        except ModelError as error:
-            refused.append(str(error))
-    if len(rows) == 1:
-        raise InputError(f"{folder}: no usable network: {refused[0]}")
-    return rows

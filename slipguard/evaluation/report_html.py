@@ -49,7 +49,6 @@ def write_page(path: Path, report: dict[str, Any], protocol: LiftProtocol | None
         _figure(figures, "curves", "One lift of each object, the one with the median error."),
         "<h2>Segmentation</h2>" if report["dice"] or "masks" in figures else "",
         _figure(figures, "masks", "Left finger near the end of a lift."),
-        _network_table(report),
         "<h2>Ground truth and clocks</h2>",
         _ground_truth(report),
         _problems(report),
@@ -164,16 +163,6 @@ def _estimator_table(report: dict[str, Any]) -> str:
                  f"{PAPER['turn_error_mean_deg']} ± {PAPER['turn_error_sd_deg']}", "", ""])  # fmt: skip
     head = ["estimator", "lifts", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean"]
     return _table(head, rows, "A declined estimate has no error, so compare the number of lifts too.")
-
-
-def _network_table(report: dict[str, Any]) -> str:
-    if not report["networks"]:
-        return ""
-    rows = [
-        [escape(one["network"]), one["n"], _pm(one["dice"], 3), _pm(one["iou"], 3), _n(one["ms_median"], 1)]
-        for one in report["networks"]
-    ]
-    return _table(["network", "n", "Dice", "IoU", "ms, median, one core"], rows, "All networks on the same frames.")
 
 
 def _ground_truth(report: dict[str, Any]) -> str:

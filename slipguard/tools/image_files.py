@@ -65,13 +65,13 @@ def read_frames(files: list[Path]) -> Iterator[FileFrame]:
     at_s = 0.0
     for file in files:
         if file.suffix.lower() in VIDEO_ENDINGS:
-            for number, (image, step_s) in enumerate(_video(file)):
-                name = f"{file.stem}-{number:06d}"
+            start_s = at_s
+            for number, (time_s, image) in enumerate(read_video(file)):
+                name, at_s = f"{file.stem}-{number:06d}", start_s + time_s
                 yield _checked_frame(image, f"{file}, frame {number}", name, name, at_s)
-                at_s += step_s
         else:
             yield _checked_frame(read_image(file), str(file), file.name, file.stem, at_s)
-            at_s += 1.0 / STILL_IMAGES_FPS
+        at_s += 1.0 / STILL_IMAGES_FPS
 
 
 def read_gel_image(path: Path) -> NDArray[np.uint8]:
@@ -137,28 +137,32 @@ def _check_size(width: int, height: int, what: str) -> None:
         raise InputError(f"{what}: {width}x{height}. The maximum height is {LARGEST_SIDE_PX} pixels")
 
 
-def _video(path: Path) -> Iterator[tuple[NDArray[np.uint8], float]]:
-    """Yield (image, seconds to the next one) for every frame of a video file."""
+def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Yield time in seconds and image, BGR, of every frame. Raises `InputError` for a damaged or truncated file."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # ffmpeg's messages would repeat ours
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty. Give an intact video file")
     previous = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    capture = cv2.VideoCapture(str(path))
+    video = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
     try:
-        if not capture.isOpened():
+        if not video.isOpened():
             raise InputError(f"{path}: not a decodable video. Give an MP4, AVI or MKV file")
-        fps = capture.get(cv2.CAP_PROP_FPS)
+        fps = video.get(cv2.CAP_PROP_FPS)
         step_s = 1.0 / fps if 1.0 <= fps <= 1000.0 else 1.0 / STILL_IMAGES_FPS
-        announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        count = 0
+        announced = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+        count, last_s = 0, -step_s
         while True:
-            there, image = capture.read()
+            there, image = video.read()
             if not there:
                 break
+            at_s = 1e-3 * video.get(cv2.CAP_PROP_POS_MSEC)
+            last_s = at_s if at_s > last_s else last_s + step_s  # some containers carry no times
             count += 1
-            yield np.asarray(image, np.uint8), step_s
+            yield last_s, np.asarray(image, np.uint8)
     finally:
-        capture.release()
+        video.release()
         cv2.utils.logging.setLogLevel(previous)
     if count == 0:
         raise InputError(f"{path}: the video has no frames")

@@ -91,22 +91,25 @@ def fit_sigma(
 def network_table(
     models: Annotated[list[Path], typer.Argument(help="ONNX files that keep the model contract.")],
     grasps: Annotated[int, typer.Option(min=1, help="Grasps of each test object.")] = 2,
+    lifts: Annotated[
+        Path | None, typer.Option(help="Use the frames of this `slipguard evaluate run --sim` instead of grasps.")
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object per network.")] = False,
 ) -> None:
-    """Compare networks on rendered grasps of the test objects: Dice, IoU, time, false contacts.
+    """Compare networks on rendered grasps of the test objects, or on recorded lifts: Dice, IoU, time, false contacts.
 
     Example: `python -m tests.campaigns network-table models/*.onnx`
     """
     from slipguard.perception.contact.segmenter import Segmenter
-    from tests.campaigns.network_table import HEADER, compare_networks, grasp_frames
+    from tests.campaigns.network_table import HEADER, compare_networks, grasp_frames, recorded_frames
 
     networks = [(path.stem, Segmenter(path)) for path in models]
-    rows = compare_networks(networks, grasp_frames(range(grasps)))
+    rows = compare_networks(networks, recorded_frames(lifts) if lifts else grasp_frames(range(grasps)))
     if json:
         for row in rows:
             print(jsonlib.dumps(asdict(row)))
         return
-    print(f"{rows[0].frames} frames with contact, {rows[0].untouched} without; {grasps} grasps of each object")
+    print(f"{rows[0].frames} frames with contact, {rows[0].untouched} without")
     print(HEADER, *rows, sep="\n")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,9 +17,13 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.datasets.rendered_grasps import render_grasp
+from slipguard.errors import InputError
+from slipguard.evaluation.lift_analysis import MASK_GAP_S, mask_of
+from slipguard.evaluation.lift_recording import lift_paths, read_lift
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.sim.catalogue import object_names
 from slipguard.tools.parallel import Workers, each
+from slipguard.tools.replay import recorded_settings
 
 EVERY = 6
 """Use every sixth frame of a grasp: neighboring frames hardly differ."""
@@ -29,10 +34,10 @@ HEADER = "| network | Dice | IoU | ms a frame, one thread | false contacts |\n|-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabeledFrame:
-    """A frame and its label. image, background: (320, 240, 3) uint8 BGR; mask: (320, 240) bool."""
+    """A frame and its label. image, background (None: unknown): (320, 240, 3) uint8 BGR; mask: (320, 240) bool."""
 
     image: NDArray[np.uint8]
-    background: NDArray[np.uint8]
+    background: NDArray[np.uint8] | None
     mask: NDArray[np.bool_]
 
 
@@ -63,6 +68,24 @@ def grasp_frames(seeds: Sequence[int], workers: Workers | None = None) -> list[L
     """Return frames of one grasp of each test object for each seed."""
     grasps = [(name, seed) for seed in seeds for name in object_names("test")]
     return [frame for frames in each(_labeled, grasps, workers) for frame in frames]
+
+
+def recorded_frames(folder: Path) -> list[LabeledFrame]:
+    """Return the frames of a simulated `slipguard evaluate run` for which the true contact was recorded."""
+    found = []
+    for path in lift_paths(folder):
+        data = read_lift(path)
+        settings = recorded_settings(data.recording)
+        for finger, frames in data.fingers.items():
+            images = {one.record.captured_at_s: one.image for one in frames if one.image is not None}
+            times_s = np.array(list(images))
+            for true in data.true_masks[finger] if images else ():
+                near_s = float(times_s[np.argmin(np.abs(times_s - true.time_s))])
+                if abs(near_s - true.time_s) <= MASK_GAP_S:
+                    found.append(LabeledFrame(images[near_s].pixels(), settings.background(finger), mask_of(true)))
+    if not found:
+        raise InputError(f"{folder}: no recorded lift with true contact masks")
+    return found
 
 
 def compare_networks(

@@ -6,7 +6,6 @@ step is not enough; and the same with the small force limit of a fragile object.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -26,10 +25,6 @@ HOLD_S = 60.0
 QUICK_RENDERED_HOLDS, FULL_RENDERED_HOLDS = 1, 6
 QUICK_RENDERED_HOLD_S, FULL_RENDERED_HOLD_S = 4.0, 30.0
 SUPPORT_GONE_NUMBERS = 5_000
-TRIAL_CPU_S, TIGHT_CPU_S, RENDERED_CPU_S, HOLD_CPU_S = 0.45, 0.8, 3.0, 2.8
-"""Processor time of each on one core of a shared EPYC server; a hold lasts a minute."""
-RENDERED_HOLD_CPU_S, RENDERED_LIFT_S = 1.5, 4.0
-"""Processor time per second of a rendered hold, and the seconds that its lift counts for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,15 +57,6 @@ class CampaignPlan:
     def rendered(self) -> int:
         """Number of trials with rendered frames and the shipped pipeline."""
         return sum(trial.rendered for trial in self.trials)
-
-    def seconds(self, workers: Workers) -> float:
-        """Return the estimated duration on this machine's cores."""
-        cores = workers.jobs or os.cpu_count() or 1
-        trials_s = TRIAL_CPU_S * (len(self.trials) + len(self.gone)) + TIGHT_CPU_S * len(self.tight)
-        seen = [one for one in self.holds if one.rendered]
-        seen_s = RENDERED_HOLD_CPU_S * sum(RENDERED_LIFT_S + one.seconds for one in seen)
-        holds_s = HOLD_CPU_S * (len(self.holds) - len(seen))
-        return (trials_s + RENDERED_CPU_S * self.rendered + holds_s + seen_s) / cores
 
 
 @dataclass(frozen=True, slots=True)
