@@ -37,7 +37,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--arm-campaign", type=int, default=5, metavar="N", help="faults of the arm's connection")
     group.addoption("--commands", type=int, default=300, metavar="N", help="length of the gripper's fault campaign")
     group.addoption("--kills", type=int, default=2, metavar="N", help="how often the daemon is killed during a lift")
-    group.addoption("--seed", type=int, default=0, metavar="N", help="seed of the gripper's faults and of the kills")
+    group.addoption("--stops", type=int, default=2, metavar="N", help="how many lifts meet a protective stop")
+    group.addoption("--seed", type=int, default=0, metavar="N", help="seed of faults, kills and stops")
     group.addoption("--api-examples", type=int, default=2, metavar="N", help="generated requests for each API route")
     group.addoption("--page-images", metavar="DIR", help="store images of the operator page in this folder")
     group.addoption(

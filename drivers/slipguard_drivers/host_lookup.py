@@ -60,8 +60,8 @@ class HostLookup:
             addresses = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
             addresses.sort(key=lambda address: address[0] != socket.AF_INET)
             found = self._known[host] = str(addresses[0][4][0])
-        except OSError as error:
-            found = error
+        except (OSError, UnicodeError) as error:  # UnicodeError: no valid name
+            found = error if isinstance(error, OSError) else OSError(f"no valid host name ({error})")
         with self._lock:
             waiting = self._waiting.pop(host)
         for loop, answer in waiting:

@@ -104,13 +104,15 @@ class Cell:
         lines = (self.folder / "truth.jsonl").read_text().splitlines()
         return [json.loads(line) for line in lines if line.endswith("}")]
 
-    def order(self, line: str) -> None:
-        """A control word, obeyed when this returns."""
+    def order(self, line: str) -> str:
+        """Send a control line, and return the answer."""
         before = self.process.said.count('"answer"')
         self.process.send(line)
         until(
             lambda: self.process.said.count('"answer"') > before, f"{line!r} is not obeyed", lambda: self.process.said
         )
+        answers = [line for line in self.process.said.splitlines() if line.startswith("{") and '"answer"' in line]
+        return str(json.loads(answers[-1])["answer"])
 
     def events(self, name: str) -> list[dict[str, Any]]:
         """The events that the doubles reported."""
