@@ -73,7 +73,12 @@ class GripperSection(DeviceSection):
 
 
 class ArmSection(DeviceSection):
-    """The arm."""
+    """The arm. driver "none": there is none, or slipguard is not connected to it."""
+
+    @property
+    def present(self) -> bool:
+        """Whether there is an arm."""
+        return self.driver != "none"
 
 
 class LoopSection(Section):

@@ -113,6 +113,8 @@ def check(
         f"mode {guard.mode!r}: first grip {guard.first_force_n:g} N per finger, force limit {guard.force_max_n:g} N, "
         f"{guard.no_estimate_force_n:g} N without a rotation estimate"
     )
+    if not settings.arm.present:
+        console.print("no arm: only the grip is guarded, and no arm is stopped when the object slips")
     _, gripper_max_n = _devices(settings)["gripper"].force_limits_n
     if gripper_max_n < guard.force_max_n:
         console.print(f"this gripper applies at most {gripper_max_n:g} N")

@@ -58,7 +58,7 @@ def _grasp_rows(state: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         height = "no start of a lift known" if lifted_mm is None else f"{lifted_mm:.0f} mm above the start of the lift"
         yield "arm", f"{height}, {stop or motion}"
     else:
-        yield "arm", "not connected"
+        yield "arm", "not connected" if state.get("has_arm", True) else 'none (arm.driver = "none")'
 
 
 def _guard_text(state: Mapping[str, Any], phase: str) -> str:

@@ -86,6 +86,7 @@ class StateResponse(ApiResponse):
     rotation: dict[str, Any] | None
     gripper: dict[str, Any] | None
     arm: dict[str, Any] | None
+    has_arm: bool
     fingers: dict[str, dict[str, Any]]
     devices: dict[str, dict[str, Any]]
     waiting_for: list[str]

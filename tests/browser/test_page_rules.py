@@ -70,6 +70,7 @@ def page_state(state: GraspState, observation: Observation, params: GuardParams)
         "waiting_for": [f"{name}: gone" for name in gone],
         "gripper": observation.gripper
         and {name: getattr(observation.gripper, name) for name in GripperState.__slots__},
+        "has_arm": True,
         "arm": observation.arm and {name: getattr(observation.arm, name) for name in ArmState.__slots__},
     }  # fmt: skip
 

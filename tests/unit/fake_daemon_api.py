@@ -54,6 +54,7 @@ class FakeDaemonApi(DaemonApi):
             "rotation": {"rotation_deg": 1.5, "sigma_deg": 0.25},
             "gripper": asdict(GripperState(True, False, True, False, 60.0, 40.25, None, 12.4)),
             "arm": None,
+            "has_arm": True,
             "fingers": {},
             "devices": {},
             "waiting_for": [],

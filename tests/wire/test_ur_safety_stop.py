@@ -47,6 +47,16 @@ async def state_of(arm: Arm) -> ArmState | None:
         return None
 
 
+async def reported_stop(arm: Arm) -> ArmState:
+    """Wait until the state reports a stop and rest."""
+    async with asyncio.timeout(4.0):
+        while True:
+            state = await state_of(arm)
+            if state is not None and (state.protective_stop or state.emergency_stop) and not state.moving:
+                return state
+            await asyncio.sleep(0.005)
+
+
 async def regained(arm: Arm, within_s: float = 4.0) -> ArmState:
     """Wait until the state reports no stop; the arm is never lost meanwhile."""
     async with asyncio.timeout(within_s):
@@ -77,8 +87,7 @@ async def test_the_arm_comes_back_under_control(
         controller.control("fault refuse_stop")
     controller.control(f"fault {stop}")
     assert await rests(controller)
-    stopped = await state_of(arm)
-    assert stopped is not None
+    stopped = await reported_stop(arm)
     assert (stopped.protective_stop, stopped.emergency_stop) == (True, False)
     assert stopped.height_mm > 0.0
     assert await until(lambda: controller.state()["runtime"] == ("paused" if refuses else "stopped"))
@@ -94,14 +103,17 @@ async def test_the_arm_comes_back_under_control(
     assert speed_of(controller) < 0.03
     await arm.stop()
     assert await rests(controller)
-    assert await lifted(arm, -10.0, 200.0) == 200.0, "only the first motion is slow"
+    assert await lifted(arm, -2.0, 200.0) == AFTER_STOP_MM_S, "it was stopped on the way"
+    assert await until(lambda: speed_of(controller) > 0.01)
+    assert await rests(controller)
+    assert await lifted(arm, -10.0, 200.0) == 200.0, "slow only until a motion has reached its goal"
 
 
 async def test_an_emergency_stop_keeps_the_heights(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     controller.control("fault emergency_stop")
     assert await rests(controller)
-    stopped = await arm.state()
+    stopped = await reported_stop(arm)
     assert (stopped.protective_stop, stopped.emergency_stop) == (False, True)
     controller.control("panel remote")
     controller.control("clear")

@@ -6,8 +6,8 @@ responds, and the controller's clock advances.
 
 A protective stop pauses the control script, and the robot would continue its motion after `play`, or by itself after a
 safeguard stop. So the driver ends the paused script by the dashboard, which moves nothing. It never unlocks a stop:
-a person does, after finding the cause. Then it uploads the script again, with the heights as before, and the first
-motion is slow. Until the arm is under control again, its state says that it is stopped, or what prevents control.
+a person does, after finding the cause. Then it uploads the script again, with the heights as before, and moves
+slowly at first. Until the arm is under control again, its state says that it is stopped, or what prevents control.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ RETRY_S = 0.5
 """How often a paused script is to be ended during a stop, where a controller may refuse it, and how often control of
 the arm is tried to be regained afterwards."""
 AFTER_STOP_MM_S = 20.0
-"""Speed limit of the first motion after a safety stop."""
+"""Speed limit after a safety stop, until a motion has reached its goal."""
+REACHED_M = 0.001
 START_S = 0.2
 """An uploaded script may start this much later; until then, a stopped program proves nothing."""
 
@@ -64,7 +65,8 @@ class LiftModeArm(Arm):
         self._dashboard_stop: asyncio.Task[bool] | None = None
         self._lost: str | None = None
         self._monitoring_only = False  # a safety stop is active, or the arm is not under control again yet
-        self._after_stop = False  # the next motion is the first after a safety stop
+        self._after_stop = False  # no motion has reached its goal since a safety stop
+        self._first_goal_m = math.nan  # height of that goal
         self._retry_at_s = -math.inf
         self._blocked: str | None = None  # why control could not be regained after a safety stop
         self._moving = False  # as ur-rtde reports it
@@ -132,12 +134,14 @@ class LiftModeArm(Arm):
         if self._stops != stops:
             raise CommandRefused(f"{self._name}: it was stopped during the command; send the lift again")
         pose = list(self._monitor.fresh().pose)
+        if abs(pose[2] - self._first_goal_m) < REACHED_M:
+            self._after_stop, self._first_goal_m = False, math.nan
         pose[2] += height_mm / 1000.0
         limit_mm_s = min(self._settings.speed_max_mm_s, AFTER_STOP_MM_S if self._after_stop else math.inf)
         speed_mm_s = min(max(speed_mm_s, SPEED_MIN_MM_S), limit_mm_s)
         acceleration_m_s2 = self._settings.acceleration_mm_s2 / 1000.0
         await self._call("move", pose, speed_mm_s / 1000.0, acceleration_m_s2, timeout_s=MOVE_TIMEOUT_S)
-        self._moving, self._after_stop = True, False
+        self._moving, self._first_goal_m = True, pose[2] if self._after_stop else math.nan
         return speed_mm_s
 
     async def stop(self) -> None:
@@ -263,7 +267,7 @@ class LiftModeArm(Arm):
         if not self._safety_stopped:
             self._own_until_s = -math.inf
             raise DeviceLost(f"{self._name}: the control script has ended on the controller; open the arm again")
-        self._after_stop, self._retry_at_s = True, -math.inf
+        self._after_stop, self._first_goal_m, self._retry_at_s = True, math.nan, -math.inf
         self._left_at_s = self._connected_at_s  # a script that is paused since then is ours
 
     async def _follow_safety_stop(self, state: RobotState) -> None:

@@ -40,7 +40,8 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         else {"code": fault.code.value, "observed": fault.observed, "what_to_do": fault.what_to_do},
         "rotation": _plain(observation.fused) if observation is not None else None,
         "gripper": _plain(service.gripper.newest),
-        "arm": _plain(arm),
+        "arm": _plain(arm) if service.config.arm.present else None,
+        "has_arm": service.config.arm.present,
         "lifted_mm": arm.height_mm - ground_mm if arm is not None and ground_mm is not None else None,
         "fingers": {
             name: {

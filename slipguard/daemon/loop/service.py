@@ -26,6 +26,7 @@ from slipguard.control.messages import (
     MoveJaws,
     Observation,
     ReleaseJaws,
+    RequestKind,
     StepOutput,
     StopArm,
 )
@@ -42,6 +43,7 @@ from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstima
 from slipguard.daemon.loop.request_queue import RequestQueue
 from slipguard.daemon.store.background_images import BackgroundStore
 from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
+from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
@@ -150,6 +152,8 @@ class Service:
 
         Raises CommandRefused with the reason, also if no control step has taken it by `deadline_s` (loop time).
         """
+        if request.kind in (RequestKind.LIFT, RequestKind.LOWER) and not self.config.arm.present:
+            raise CommandRefused(f'cannot {request.kind}: there is no arm ([arm] driver = "none")')
         return await self._requests.submit(request, self._wake, deadline_s)
 
     def stop_arm(self, on_stopped: Callable[[], None]) -> None:

@@ -41,6 +41,7 @@ function deviceTexts(state, name) {
     return [finger.serial, ...finger.remarks, ...gel];
   }
   if (name === "gripper") return state.gripper ? [gripperText(state.gripper)] : [];
+  if (state.has_arm === false) return ["none is configured"];
   return state.arm ? [armText(state.arm)] : [];
 }
 

@@ -53,7 +53,8 @@ export function headline(state) {
   if (state.guarding) {
     if (HOLDING_PHASES.has(state.phase)) notes.push("guarding");
   } else notes.push("NOT guarding: slip is only shown");
-  if (state.mode === "guard") notes.push("another program moves the arm");
+  if (state.has_arm === false) notes.push("no arm is stopped: none is configured");
+  else if (state.mode === "guard") notes.push("another program moves the arm");
   if (state.no_rotation_reason && HOLDING_PHASES.has(state.phase)) {
     notes.push(`no rotation estimate (${state.no_rotation_reason})`);
   }
@@ -69,7 +70,8 @@ export function headline(state) {
 function faultDetail(state) {
   const { arm, gripper } = state;
   const motion = arm && arm.moving ? "the arm is still moving" : "the arm is stopped";
-  const armState = state.putting_down ? "the arm is putting the object down" : arm ? motion : "the arm is not connected";
+  const noArm = state.has_arm === false ? "there is no arm" : "the arm is not connected";
+  const armState = state.putting_down ? "the arm is putting the object down" : arm ? motion : noArm;
   if (!gripper) return `${armState}, the gripper is not connected`;
   const force = gripper.force_known === false ? "force unknown" : `${plain(gripper.force_n)} N`;
   return gripper.holding ? `${armState}, the grip is kept: ${force}` : armState;

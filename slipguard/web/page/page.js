@@ -170,5 +170,5 @@ function showFigures(state) {
   const arm = view.live ? state.arm : null;
   const lifted_mm = arm ? (state.lifted_mm ?? null) : null;
   setText(byId("height"), lifted_mm === null ? "–" : `${plain(lifted_mm)} mm`);
-  setText(byId("arm-motion"), arm ? armText(arm) : "");
+  setText(byId("arm-motion"), arm ? armText(arm) : state.has_arm === false ? "none" : "");
 }

@@ -46,6 +46,7 @@ const RULES = {
 };
 
 function motion(state) {
+  if (state.has_arm === false) return "there is no arm";
   if (state.mode === "guard") return "another program moves the arm";
   if (state.phase === "fault") return "clear the fault first";
   if (state.phase !== "holding") return "only while holding";

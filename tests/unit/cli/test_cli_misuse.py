@@ -94,6 +94,9 @@ def test_an_error_at_work_is_json_too(line: str, capfd: pytest.CaptureFixture[st
     assert json.loads(ran.out) == {"error": ran.complaint}
 
 
+UR5_KEYS = (
+    "host", "speed_max_mm_s", "acceleration_mm_s2", "stop_mm_s2", "watchdog_hz", "registers", "stop_by", "pulse_ms",
+)  # fmt: skip
 CONFIGS = {
     "typo": ("[guard]\nfirst_forse_n = 3\n", "guard.first_forse_n: no such key; did you mean 'first_force_n'?"),
     "wrong type": ('[guard]\nfirst_force_n = "much"\n', "guard.first_force_n = 'much'"),
@@ -246,3 +249,16 @@ def test_an_internal_error_is_not_hidden(capfd: pytest.CaptureFixture[str], monk
     monkeypatch.setattr(root, "run", fails_with(both))
     with pytest.raises(ExceptionGroup):
         slipguard(capfd, "run", "--sim")
+
+
+def test_a_cell_without_an_arm_needs_guard_mode(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    text = (Path(__file__).parents[3] / "config.toml").read_text().replace('driver = "ur5"', 'driver = "none"')
+    text = "\n".join(line for line in text.splitlines() if not line.startswith(("[arm.ur5]", *UR5_KEYS)))
+    path.write_text(text)
+    ran = slipguard(capfd, "check", "--config", path)
+    assert 'set mode = "guard"' in ran.complaint
+    path.write_text(text.replace('mode = "lift"', 'mode = "guard"'))
+    ran = slipguard(capfd, "check", "--config", path)
+    assert ran.code == 0
+    assert "no arm: only the grip is guarded" in ran.out
