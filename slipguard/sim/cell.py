@@ -25,6 +25,10 @@ MAX_SLIP_MM = 12.0
 """With a larger slip the object is out of the fingers: the gel is 25.5 mm high, grasps are near its center."""
 REFERENCE_PRESS_N = 40.0
 """The force of an object's `press_mm`; the depth is proportional to the square root of the force."""
+GEL_IMPRINT = "egg"
+"""The object whose imprint is that of another gel: a smooth dome."""
+GEL_PRESS_MM = 0.6
+"""Indentation of two gels that press on each other with 40 N."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,7 @@ class CellState:
 
     Attributes:
         held: the fingers press on the object.
+        fingertip_mm: thickness of each fingertip sensor; without an object the gels meet at twice this width.
         table_mm: finger height at which the object lies flat.
         disturbance_m_s2: additional acceleration of the fingers (vibration, a touch), up, by time; None for none.
     """
@@ -55,6 +60,7 @@ class CellState:
     table_mm: float = 0.0
     held: bool = False
     dropped: str | None = None
+    fingertip_mm: float = 0.0
     disturbance_m_s2: Callable[[float], float] | None = None
 
     @property
@@ -62,14 +68,25 @@ class CellState:
         """The object between the jaws, None if there is none."""
         return self.placed if self.dropped is None else None
 
+    @property
+    def gels_meet(self) -> bool:
+        """Whether the gels press on each other, with nothing between them."""
+        return self.present is None and self.fingertip_mm > 0.0 and self.gripper.force_n > NO_CONTACT_N
+
+    @property
+    def stops_at_mm(self) -> float | None:
+        """Width of the jaws at which object or gels stop them; None if nothing does."""
+        if self.present is not None:
+            return self.present.item.width_mm + 2.0 * self.fingertip_mm
+        return 2.0 * self.fingertip_mm if self.fingertip_mm > 0.0 else None
+
 
 def step(cell: CellState, now_s: float, step_s: float, *, gripper_works: bool = True) -> CellState:
     here = arm_plant.pose(cell.arm, now_s)
     placed = cell.present
     gripper = cell.gripper
     if gripper_works:
-        object_mm = placed.item.width_mm if placed is not None else None
-        gripper = gripper_plant.advance(gripper, cell.gripper_model, now_s, step_s, object_mm)
+        gripper = gripper_plant.advance(gripper, cell.gripper_model, now_s, step_s, cell.stops_at_mm)
     if placed is None:
         return replace(cell, gripper=gripper)
     pressed = gripper.force_n > NO_CONTACT_N
@@ -120,6 +137,9 @@ def is_static(before: CellState, after: CellState, now_s: float) -> bool:
 def view(cell: CellState, finger_sign: int) -> GelView:
     """Return the view of a finger's camera; left +1, right -1 (mirrored image). World down is image down."""
     placed = cell.present
+    if cell.gels_meet:
+        depth_mm = GEL_PRESS_MM * math.sqrt(cell.gripper.force_n / REFERENCE_PRESS_N)
+        return GelView(GEL_IMPRINT, depth_mm=depth_mm)
     if placed is None:
         return GelView(object_name="", depth_mm=-1.0)
     motion, scenario = cell.motion, placed.scenario
@@ -129,16 +149,17 @@ def view(cell: CellState, finger_sign: int) -> GelView:
         x_mm=finger_sign * scenario.x_mm,
         y_mm=scenario.y_mm - 1e3 * motion.slip_m,
         angle_deg=finger_sign * scenario.angle_deg + rotation_sign * math.degrees(motion.rotation_rad),
-        depth_mm=depth_mm(placed.item, cell.gripper),
+        depth_mm=_depth_mm(placed.item, cell),
         vy_mm_s=-1e3 * motion.slip_m_s,
         rate_deg_s=rotation_sign * math.degrees(motion.rate_rad_s),
     )
 
 
-def depth_mm(item: SimObject, gripper: GripperPlant) -> float:
+def _depth_mm(item: SimObject, cell: CellState) -> float:
     """Return the indentation: minus the gap before contact, then press_mm * sqrt(N / 40 N)."""
+    gripper = cell.gripper
     if gripper.force_n <= NO_CONTACT_N:
-        return min(0.5 * (item.width_mm - gripper.width_mm), 0.0)
+        return min(0.5 * (item.width_mm - gripper.width_mm) + cell.fingertip_mm, 0.0)
     return item.press_mm * math.sqrt(gripper.force_n / REFERENCE_PRESS_N)
 
 
@@ -153,6 +174,7 @@ class WorldTruth:
         slip_mm, slip_rate_mm_s: translational slip, downwards.
         needed_force_n: per finger, to hold the level object at rest.
         load_n: tangential load per finger.
+        in_contact: the gels press on the object, or on each other.
     """
 
     time_s: float
@@ -197,7 +219,7 @@ def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
         load_n=max(motion.load_n, 0.0) / (placed.body.n_fingers if placed is not None else 1),
         height_mm=here.height_mm,
         on_table=placed is not None and cell.dropped is None and (not cell.held or motion.on_table),
-        in_contact=cell.held,
+        in_contact=cell.held or cell.gels_meet,
         slipping=cell.held and motion.slipping,
         dropped=cell.dropped,
     )

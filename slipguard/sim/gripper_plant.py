@@ -89,22 +89,24 @@ class GripperPlant:
         """Whether the motor is at rest and no command is pending."""
         return self.drive is Drive.REST and not self.pending
 
-    @property
-    def grips(self) -> bool:
-        """Whether an object is held, or the fingers are closing for a grip."""
-        closes = self.drive is Drive.CLOSING and self.goal_mm == 0.0
-        return self.holding or closes or any(command.goal_mm == 0.0 and not command.opens for command in self.pending)
+    def grips(self, goal_mm: float) -> bool:
+        """Return whether an object is held, or the fingers are closing to `goal_mm` for a grip."""
+        closes = self.drive is Drive.CLOSING and self.goal_mm == goal_mm
+        pending = any(command.goal_mm == goal_mm and not command.opens for command in self.pending)
+        return self.holding or closes or pending
 
 
-def order_hold(plant: GripperPlant, model: GripperDynamics, now_s: float, force_n: float) -> tuple[GripperPlant, float]:
-    """Close, or tighten, to `force_n`; return the plant and the commanded force.
+def order_hold(
+    plant: GripperPlant, model: GripperDynamics, now_s: float, force_n: float, goal_mm: float = 0.0
+) -> tuple[GripperPlant, float]:
+    """Close as far as `goal_mm`, or tighten, to `force_n`; return the plant and the commanded force.
 
     A force not above the present or pending grip force changes nothing.
     """
     wanted_n = model.quantized_force_n(force_n)
-    if plant.grips and plant.applied_n >= wanted_n:
+    if plant.grips(goal_mm) and plant.applied_n >= wanted_n:
         return plant, plant.applied_n
-    command = QueuedCommand(_due_s(plant, model, now_s), 0.0, wanted_n)
+    command = QueuedCommand(_due_s(plant, model, now_s), goal_mm, wanted_n)
     return replace(plant, applied_n=wanted_n, pending=(*plant.pending, command)), wanted_n
 
 
@@ -150,10 +152,10 @@ def _due_s(plant: GripperPlant, model: GripperDynamics, now_s: float) -> float:
 def advance(
     plant: GripperPlant, model: GripperDynamics, now_s: float, step_s: float, object_mm: float | None
 ) -> GripperPlant:
-    """Return the fingers one step later, at `now_s`. object_mm: thickness of the object, None without one."""
+    """Return the fingers one step later, at `now_s`. object_mm: width at which something stops them; None: nothing."""
     while plant.pending and plant.pending[0].due_s <= now_s:
         plant = _begin(plant, model, plant.pending[0])
-    if object_mm is None and (plant.holding or plant.force_n > 0.0):
+    if (object_mm is None or object_mm < plant.width_mm) and (plant.holding or plant.force_n > 0.0):
         plant = _lose(plant, model, now_s)
     if plant.drive is Drive.REST or now_s < plant.starts_s:
         return plant

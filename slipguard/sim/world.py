@@ -32,13 +32,20 @@ _SIGNS = {"left": 1, "right": -1}
 
 @dataclass(frozen=True, slots=True)
 class WorldSettings:
-    """An empty world. gripper: until a scenario brings its own. gripper_activated: False as it leaves the factory."""
+    """An empty world.
+
+    Attributes:
+        gripper: until a scenario brings its own.
+        gripper_activated: False as it leaves the factory.
+        fingertip_mm: thickness of each fingertip sensor; the gels meet where the jaws are twice as far apart.
+    """
 
     step_s: float = 1e-3
     start_width_mm: float = 85.0
     arm: ArmModel = field(default_factory=ArmModel)
     gripper: GripperDynamics = field(default_factory=GripperDynamics)
     gripper_activated: bool = True
+    fingertip_mm: float = 0.0
 
 
 class World:
@@ -62,7 +69,8 @@ class World:
         self._lookup = lookup or find_object
         self._deliveries = {finger: initial_delivery(seed, finger) for finger in _SIGNS}
         width_mm = self.settings.start_width_mm
-        self._cell = CellState(GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.gripper)
+        plant, fingertip_mm = GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.fingertip_mm
+        self._cell = CellState(plant, self.settings.gripper, fingertip_mm=fingertip_mm)
         self._origin_s: float | None = None
         self._now_s = -math.inf
         self._steps = 0
@@ -80,9 +88,10 @@ class World:
         present = self._cell.present
         if present is not None:
             raise CommandRefused(f"{present.item.name} is between the jaws; clear it first")
-        if self._cell.gripper.width_mm < item.width_mm:
+        apart_mm = self._cell.gripper.width_mm - 2.0 * self.settings.fingertip_mm
+        if apart_mm < item.width_mm:
             raise CommandRefused(
-                f"the jaws are {self._cell.gripper.width_mm:.1f} mm apart, {item.name} is {item.width_mm:.1f} mm "
+                f"the jaws are {apart_mm:.1f} mm apart, {item.name} is {item.width_mm:.1f} mm "
                 "thick; release the gripper first"
             )
         item = replace(item, friction=item.friction * scenario.friction_scale)
@@ -117,13 +126,14 @@ class World:
 
     # The gripper.
 
-    def command_hold(self, now_s: float, force_n: float) -> float:
-        """Close or tighten; return the commanded force per finger. A lower force changes nothing."""
+    def command_hold(self, now_s: float, force_n: float, goal_mm: float = 0.0) -> float:
+        """Close to `goal_mm` or tighten; return the commanded force per finger. A lower force changes nothing."""
         now_s = self._advance(now_s)
         _check("force_n", force_n)
         if self._gripper_faulty():
             return self._cell.gripper.applied_n
-        plant, applied_n = gripper_plant.order_hold(self._cell.gripper, self._cell.gripper_model, now_s, force_n)
+        present, model = self._cell.gripper, self._cell.gripper_model
+        plant, applied_n = gripper_plant.order_hold(present, model, now_s, force_n, goal_mm)
         self._put(replace(self._cell, gripper=plant))
         return applied_n
 

@@ -58,6 +58,17 @@ def bench() -> Bench:
     return bench
 
 
+def test_sensors_on_the_fingers_meet_early(bench: Bench) -> None:
+    bench.jaws.fingertip_mm = 20.0
+    bench.write(0x0900, 255, 0xFF40, after_s=3.0)
+    assert bench.flags >> 6 == 2, "gel on gel looks like an object"
+    assert bench.jaws.state_at(bench.now_s).width_mm == 40.0
+    bench.write(0x0900, 0, 0xFF40, after_s=3.0)
+    bench.jaws.object_mm = 10.0
+    bench.write(0x0900, 255, 0xFF40, after_s=3.0)
+    assert bench.jaws.state_at(bench.now_s).width_mm == 50.0
+
+
 def test_activation_takes_seconds_and_moves_the_jaws_fully() -> None:
     bench = Bench()
     assert bench.flags == 0x00

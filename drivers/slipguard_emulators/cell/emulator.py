@@ -47,8 +47,9 @@ REPORTED = frozenset({"gripped", "tightened", "released", "paused", "resumed", "
 class CellWorld(World):
     """A world with a given camera rate, whose gripper reacts at once: the serial line has its own delays."""
 
-    def __init__(self, seed: int, fps: float) -> None:
-        super().__init__(WorldSettings(gripper=GripperDynamics(transaction_s=0.0)), seed)
+    def __init__(self, seed: int, fps: float, fingertip_mm: float = 0.0) -> None:
+        gripper = GripperDynamics(transaction_s=0.0)
+        super().__init__(WorldSettings(gripper=gripper, fingertip_mm=fingertip_mm), seed)
         self._fps = fps
 
     def camera(self, finger: str) -> CameraModel:
@@ -79,6 +80,9 @@ class CellEmulator(ControlledEmulator):
         ] = "lift"
         host: Annotated[str, Field(description="Address of this machine for the robot.")] = "127.0.0.1"
         series: Annotated[Literal["e", "cb3"], Field(description="Robot: cb3 125 Hz, e 500 Hz.")] = "cb3"
+        fingertip_mm: Annotated[
+            float, Field(ge=0.0, le=40.0, description="Thickness of each sensor: the gels meet that early.")
+        ] = 0.0
         activated: Annotated[
             bool, Field(description="The gripper is activated; default: as after power-on (`slipguard ctl activate`).")
         ] = False
@@ -101,7 +105,7 @@ class CellEmulator(ControlledEmulator):
         super().__init__(_fault_names(), settings.seed, report)
         self.settings = settings
         self.places = CellPaths(settings.folder.resolve())
-        self.world = CellWorld(settings.seed, float(settings.fps))
+        self.world = CellWorld(settings.seed, float(settings.fps), settings.fingertip_mm)
         self.tool = WorldTool(self.world)
         self.gripper = RobotiqEmulator(
             RobotiqEmulator.Settings(

@@ -64,6 +64,9 @@ class RobotiqEmulator(ControlledEmulator):
             float | None,
             Field(gt=0.0, lt=140.0, description="Width of the object between the jaws; default: no object."),
         ] = None
+        fingertip_mm: Annotated[
+            float, Field(ge=0.0, le=40.0, description="Thickness of a sensor on each finger: the gels meet that early.")
+        ] = 0.0
         activated: Annotated[bool, Field(description="Already activated; default: as after power-on.")] = False
         baud: Annotated[int, Field(ge=0, description="Bits per second of the wire; 0: no delay.")] = 115200
         response_ms: Annotated[float, Field(ge=0.0, le=1000.0, description="Time from a request to its answer.")] = 1.0
@@ -82,7 +85,9 @@ class RobotiqEmulator(ControlledEmulator):
         super().__init__(FAULTS, settings.seed, report)
         self.settings = settings
         figures = FIGURES[settings.model]
-        self.jaws = jaws if jaws is not None else SimpleJaws(figures.stroke_mm, settings.object_width_mm)
+        self.jaws = (
+            jaws if jaws is not None else SimpleJaws(figures.stroke_mm, settings.object_width_mm, settings.fingertip_mm)
+        )
         self.registers = GripperRegisters(self.jaws, figures, self.note, settings.quick, settings.seed)
         self.requests = 0
         """Number of requests received."""

@@ -58,11 +58,13 @@ class SimpleJaws(JawsPlant):
     """Jaws with at most one rigid object between them.
 
     object_mm: its width; None: no object. It may be changed at any time; a removed object is no longer pressed.
+    fingertip_mm: thickness of a sensor on each finger; the jaws stop twice this earlier, without an object gel on gel.
     """
 
-    def __init__(self, stroke_mm: float = 85.0, object_mm: float | None = None) -> None:
+    def __init__(self, stroke_mm: float = 85.0, object_mm: float | None = None, fingertip_mm: float = 0.0) -> None:
         self.stroke_mm = stroke_mm
         self.object_mm = object_mm
+        self.fingertip_mm = fingertip_mm
         self._width_mm = stroke_mm
         self._force_n = 0.0
         self._goal_mm: float | None = None
@@ -89,8 +91,16 @@ class SimpleJaws(JawsPlant):
         self._advance(now_s)
         return JawsState(self._width_mm, self._force_n, self._goal_mm is not None, self._met_closing)
 
+    @property
+    def _stops_at_mm(self) -> float | None:
+        """Width at which object or gels stop the jaws; None if nothing does."""
+        if self.object_mm is None and self.fingertip_mm == 0.0:
+            return None
+        return (self.object_mm or 0.0) + 2.0 * self.fingertip_mm
+
     def _advance(self, now_s: float) -> None:
-        if self._force_n > 0.0 and (self.object_mm is None or self.object_mm < self._width_mm):
+        in_the_way_mm = self._stops_at_mm
+        if self._force_n > 0.0 and (in_the_way_mm is None or in_the_way_mm < self._width_mm):
             self._force_n, self._met_closing = 0.0, False
         if self._goal_mm is None or now_s <= self._at_s:
             return
@@ -107,8 +117,9 @@ class SimpleJaws(JawsPlant):
             self._goal_mm = None
 
     def _close(self, step_s: float, goal_mm: float) -> None:
-        in_the_way = self.object_mm is not None and goal_mm < self.object_mm <= self._width_mm
-        stop_mm = self.object_mm if in_the_way and self.object_mm is not None else goal_mm
+        in_the_way_mm = self._stops_at_mm
+        in_the_way = in_the_way_mm is not None and goal_mm < in_the_way_mm <= self._width_mm
+        stop_mm = in_the_way_mm if in_the_way and in_the_way_mm is not None else goal_mm
         way_mm = self._speed_mm_s * step_s
         if self._width_mm - way_mm > stop_mm:
             self._width_mm -= way_mm

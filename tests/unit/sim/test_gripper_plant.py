@@ -53,6 +53,19 @@ def test_quantisation_adds_less_than_a_count_and_is_stable(force_n: float) -> No
     assert MODEL.quantized_force_n(applied_n) == applied_n
 
 
+def test_closing_ends_at_its_goal_and_a_lost_object_lets_it_go_on() -> None:
+    plant, _ = order_hold(OPEN, MODEL, 0.0, 40.0, goal_mm=20.0)
+    closing = run(plant, 0.0, 1.0, object_mm=None)[-1]
+    assert (closing.width_mm, closing.holding, closing.drive) == (20.0, False, Drive.REST)
+    plant, _ = order_hold(OPEN, MODEL, 0.0, 40.0, goal_mm=20.0)
+    held = run(plant, 0.0, 1.5)[-1]
+    assert held.holding
+    assert order_hold(held, MODEL, 1.5, 40.0, goal_mm=20.0)[0] is held, "no more force, no command"
+    met = run(held, 1.5, 1.0, object_mm=24.0)[-1]
+    assert (met.width_mm, met.force_n, met.holding) == (24.0, held.force_n, True), "something else is behind it"
+    assert run(held, 1.5, 1.0, object_mm=None)[-1].width_mm == 20.0
+
+
 def test_closing_waits_for_line_and_motor_then_stops_on_the_object() -> None:
     plant, applied_n = order_hold(OPEN, MODEL, 0.0, 40.0)
     assert 40.0 <= applied_n < 40.9
