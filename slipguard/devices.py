@@ -67,7 +67,7 @@ class GripperState:
     moving: bool
     holding: bool
     closed_on_nothing: bool
-    """Closing ended at the end stop: there is no object between the fingers."""
+    """The fingers are closed, as far as fingertip sensors allow: there is no object between them."""
     width_mm: float
     force_n: float
     """The force last applied by a command, per finger; not a measurement."""

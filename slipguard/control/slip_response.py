@@ -147,7 +147,7 @@ def _tighten(
     least_n: float = 0.0,
 ) -> SlipResponse:
     """Tighten by a multiple of the present force, to `least_n` at least, up to the force limit."""
-    if state.person.forbids_force:
+    if _no_force(state, observation):
         return SlipResponse(_with_slip(state, slip), stop_arm=True)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     multiplier = force_limits.multiplier(base_multiplier, seen.rate_deg_s, params.tuning.multiplier_per_100_deg_s)
@@ -167,6 +167,12 @@ def _tighten(
         return SlipResponse(state, stop_arm=True, message=message)
     message = Text.TIGHTENING.message(what=seen.what, from_n=present_n, to_n=target_n)
     return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, message=message)
+
+
+def _no_force(state: GraspState, observation: Observation) -> bool:
+    """Return whether no force may be added: a person may be near, or the gels press on each other after a loss."""
+    gripper = observation.gripper
+    return state.person.forbids_force or (gripper is not None and gripper.closed_on_nothing)
 
 
 def _limit_reached(state: GraspState, seen: SlipAssessment, params: GuardParams) -> Fault:
@@ -189,7 +195,7 @@ def _give_up(state: GraspState, seen: SlipAssessment, observation: Observation, 
     present_n = target_n = state.grip.target_n
     if force_range is not None:
         target_n = force_range.allowed(params.force_max_n, present_n)
-    if state.person.forbids_force or target_n <= present_n:
+    if _no_force(state, observation) or target_n <= present_n:
         return SlipResponse(state, stop_arm=True, fault=fault)
     return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, fault=fault)
 

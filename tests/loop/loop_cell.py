@@ -36,6 +36,7 @@ class Cell:
 
     guard, loop: sections of the configuration. blind: finger -> why it declines every cycle. threads: real workers
     instead of a stated latency, for the real clock. watched: the grip is compared with the truth at every tick.
+    fingertip_mm: of the true sensors; configured_mm: what the gripper's driver takes it for, if that differs.
     """
 
     object_name: str = "wrench"
@@ -50,6 +51,8 @@ class Cell:
     watched: bool = True
     world: World | None = None
     calibrated: bool = True
+    fingertip_mm: float = 0.0
+    configured_mm: float | None = None
     says: list[str] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     ticks: int = 0
@@ -60,12 +63,14 @@ class Cell:
 
     def __post_init__(self) -> None:
         self.fresh = self.world is None
-        start_mm = find_object(self.object_name).width_mm + 20.0
-        settings = WorldSettings(step_s=2e-3, start_width_mm=start_mm)
+        start_mm = find_object(self.object_name).width_mm + 20.0 + 2.0 * self.fingertip_mm
+        settings = WorldSettings(step_s=2e-3, start_width_mm=start_mm, fingertip_mm=self.fingertip_mm)
         self.world = world = self.world or World(settings, seed=self.seed)
         rng = np.random.default_rng([self.seed, 7])
         self.sensors = {name: FlatSensor(DriverContext(name, world)) for name in FINGERS}
-        self.gripper = LoggedGripper(DriverContext("gripper", world))
+        self.gripper = LoggedGripper(
+            DriverContext("gripper", world), self.fingertip_mm if self.configured_mm is None else self.configured_mm
+        )
         self.arm = LoggedArm(DriverContext("arm", world))
         self.workers: dict[str, Shelf] = {}
         self.perceivers: dict[str, list[Oracle]] = {name: [] for name in FINGERS}

@@ -135,8 +135,8 @@ class Oracle:
 class LoggedGripper(FakeGripper):
     """The fake gripper with a log of its commands. The next commands raise `failures` instead, one each."""
 
-    def __init__(self, context: DriverContext) -> None:
-        super().__init__(FakeGripper.Settings(), context)
+    def __init__(self, context: DriverContext, fingertip_mm: float = 0.0) -> None:
+        super().__init__(FakeGripper.Settings(fingertip_mm=fingertip_mm), context)
         self.commands: list[tuple[float, str, float]] = []
         self.failures: list[Exception] = []
 

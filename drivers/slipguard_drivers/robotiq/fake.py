@@ -15,7 +15,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import ACTIVATION_HINT, DriverContext, Gripper, GripperState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.robotiq.registers import MODEL_2F85, force_to_count, width_to_count
+from slipguard_drivers.robotiq.registers import (
+    GEL_GAP_MM,
+    MODEL_2F85,
+    force_to_count,
+    nothing_between,
+    width_to_count,
+)
 
 if TYPE_CHECKING:
     from slipguard.sim.world import World
@@ -26,12 +32,16 @@ ACTIVATION_POLL_S = 0.05
 
 
 class FakeGripperSettings(BaseModel):
-    """round_trip_ms: request and response at 115200 Bd, with an adapter whose latency timer is 1 ms."""
+    """round_trip_ms: request and response at 115200 Bd, with an adapter whose latency timer is 1 ms.
+
+    fingertip_mm: as of the driver `robotiq`; the world's sensors may be thicker or thinner than that.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     round_trip_ms: Annotated[float, Field(ge=0.0, le=100.0)] = 4.0
     timeout_ms: Annotated[float, Field(ge=5.0, le=1000.0)] = 50.0
+    fingertip_mm: Annotated[float, Field(ge=0.0, le=40.0)] = 0.0
 
 
 class FakeGripper(Gripper):
@@ -47,8 +57,12 @@ class FakeGripper(Gripper):
         self._open = False
         self._force_known = False
         """Whether the grip was commanded on this connection."""
-        self._goal_mm = MODEL_2F85.stroke_mm
-        """The last commanded width."""
+        self._fingers_mm = 2.0 * settings.fingertip_mm
+        """Width of the fingers without sensors where the gels touch."""
+        self._closed_mm = GEL_GAP_MM if settings.fingertip_mm else 0.0
+        """Width between the gels at which closing ends."""
+        self._goal_mm = MODEL_2F85.stroke_mm - self._fingers_mm
+        """The last commanded width between the gels."""
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
@@ -65,7 +79,7 @@ class FakeGripper(Gripper):
 
     async def state(self) -> GripperState:
         """Read the state now."""
-        state = await self._round_trip(self._world.gripper_state)
+        state = await self._round_trip(self._state)
         if self._force_known or not state.holding:
             return state
         return replace(state, force_n=min(state.force_n, MODEL_2F85.force_min_n), force_known=False)
@@ -76,8 +90,8 @@ class FakeGripper(Gripper):
 
         def command(now_s: float) -> float:
             self._check_ready()
-            self._goal_mm, self._force_known = 0.0, True
-            return self._world.command_hold(now_s, force_n)
+            self._goal_mm, self._force_known = self._closed_mm, True
+            return self._world.command_hold(now_s, force_n, self._closed_mm + self._fingers_mm)
 
         return await self._round_trip(command, trips=2)  # stop, then go: the force register acts in motion only
 
@@ -88,15 +102,15 @@ class FakeGripper(Gripper):
 
         def command(now_s: float) -> float:
             self._check_ready()
-            state = self._world.gripper_state(now_s)
+            state = self._state(now_s)
             if state.holding:
                 raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
             if state.moving and self._goal_mm < state.width_mm and width_mm > self._goal_mm:
                 raise CommandRefused(
                     f"{self._name}: the fingers are closing and may hold an object; try again when they are at rest"
                 )
-            self._goal_mm, self._force_known = width_mm, True
-            return self._world.command_move(now_s, width_mm, force_n)
+            self._goal_mm, self._force_known = max(width_mm, self._closed_mm), True
+            return self._world.command_move(now_s, self._goal_mm + self._fingers_mm, force_n) - self._fingers_mm
 
         return await self._round_trip(command)
 
@@ -128,10 +142,18 @@ class FakeGripper(Gripper):
     def _faults(self) -> frozenset[str]:
         return self._world.faults.active(self._name)
 
+    def _state(self, now_s: float) -> GripperState:
+        """Return the state as a driver reports it that knows the fingertips: gels that meet hold nothing."""
+        state = self._world.gripper_state(now_s)
+        width_mm = max(state.width_mm - self._fingers_mm, 0.0)
+        if not self._fingers_mm or not nothing_between(width_mm):
+            return replace(state, width_mm=width_mm)
+        return replace(state, width_mm=width_mm, holding=False, closed_on_nothing=state.active)
+
     def _open_to(self, now_s: float, width_mm: float) -> None:
         self._check_fault()
         self._goal_mm = width_mm
-        self._world.command_release(now_s, width_mm)
+        self._world.command_release(now_s, width_mm + self._fingers_mm)
 
     async def _move_fully(self, command: Callable[[float], object]) -> None:
         await self._round_trip(command)

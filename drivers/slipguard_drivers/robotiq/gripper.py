@@ -14,18 +14,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Coroutine
+from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeVar
 
 import structlog
 from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import ACTIVATION_HINT, DriverContext, Gripper, GripperState
-from slipguard.diagnosis import CheckResult
+from slipguard.diagnosis import CheckResult, note, ok
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import registers, serial_port
 from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_drivers.robotiq.object_detection import ObjectDetection
-from slipguard_drivers.robotiq.registers import CLOSED_COUNT, MODELS, RobotiqStatus
+from slipguard_drivers.robotiq.registers import MODELS, RobotiqModel, RobotiqStatus
 
 T = TypeVar("T")
 log = structlog.get_logger()
@@ -52,6 +53,16 @@ class RobotiqSettings(BaseModel):
     timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
     approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
     """Share of the full speed (150 mm/s on a 2F-85) at which the fingers close on an object."""
+    fingertip_mm: Annotated[float, Field(ge=0.0, le=40.0)] = 0.0
+    """Thickness of the sensor and its mount on each finger; `slipguard ctl fingertips` measures it."""
+
+
+def check_fingertips(model: RobotiqModel) -> CheckResult:
+    """Check whether the thickness of the fingertip sensors is configured."""
+    if model.fingertip_mm == 0.0:
+        observed = "fingertip_mm = 0: with sensors on the fingers, gel on gel looks like a held object"
+        return note("fingertips", observed, "measure it with `slipguard ctl fingertips`")
+    return ok("fingertips", f"{model.fingertip_mm:g} mm each; the gels open to {model.opening_mm:.0f} mm")
 
 
 class RobotiqGripper(Gripper):
@@ -62,7 +73,7 @@ class RobotiqGripper(Gripper):
     def __init__(self, settings: RobotiqSettings, context: DriverContext) -> None:
         self._name = context.name
         self._port = settings.port
-        self._model = MODELS[settings.model]
+        self._model = replace(MODELS[settings.model], fingertip_mm=settings.fingertip_mm)
         self._approach_speed = round(settings.approach_speed * 255)
         timeout_s = settings.timeout_ms / 1000.0
         self._modbus = ModbusConnection(
@@ -144,9 +155,10 @@ class RobotiqGripper(Gripper):
         self._modbus.close()
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
-        """Check the serial port for `slipguard doctor`, without opening it."""
+        """Check settings and serial port for `slipguard doctor`, without opening it."""
         for result in serial_port.check_serial_port(self._port):
             yield result
+        yield check_fingertips(self._model)
 
     def _deadline_s(self) -> float:
         """Return when a call that begins now must have ended."""
@@ -180,8 +192,8 @@ class RobotiqGripper(Gripper):
     async def _hold(self, force: int, deadline_s: float) -> float:
         async with self._exclusive(deadline_s):
             status = await self._ready_status(deadline_s)
-            closing = status.going and status.position_echo == CLOSED_COUNT
-            holding, moving = self._jaws.holding, self._jaws.moving
+            closing = status.going and status.position_echo >= self._model.goal_count
+            holding, moving, goal = self._jaws.holding, self._jaws.moving, self._model.goal_count
             gripping = holding or (closing and moving)
             if gripping and self._applied is not None:
                 if force <= self._applied and closing:
@@ -191,10 +203,10 @@ class RobotiqGripper(Gripper):
                 self._applied = None  # there was no grip, or the stop below interrupts it
             speed = registers.FULL_SPEED if self._jaws.gripped_at is not None else self._approach_speed
             if holding or closing:
-                await self._write(deadline_s, go=False, position=CLOSED_COUNT, speed=speed, force=force)
-                await self._expect(deadline_s, CLOSED_COUNT, going=False)
-            await self._write(deadline_s, go=True, position=CLOSED_COUNT, speed=speed, force=force)
-            await self._expect(deadline_s, CLOSED_COUNT, going=True)
+                await self._write(deadline_s, go=False, position=goal, speed=speed, force=force)
+                await self._expect(deadline_s, goal, going=False)
+            await self._write(deadline_s, go=True, position=goal, speed=speed, force=force)
+            await self._expect(deadline_s, goal, going=True)
             self._applied = force
             return registers.count_to_force(force, self._model)
 
@@ -305,6 +317,6 @@ class RobotiqGripper(Gripper):
 
     def _force_n(self, status: RobotiqStatus) -> float:
         """Return the force applied; a completed grip has at least the lowest force."""
-        if self._applied is not None and (self._jaws.holding or status.position_echo == CLOSED_COUNT):
+        if self._applied is not None and (self._jaws.holding or status.position_echo >= self._model.goal_count):
             return registers.count_to_force(self._applied, self._model)
         return self._model.force_min_n if self._jaws.gripped_at is not None else 0.0

@@ -9,7 +9,6 @@ before counts as held. Source: Robotiq 2F-85/2F-140 instruction manual (gOBJ, gG
 from __future__ import annotations
 
 from slipguard_drivers.robotiq.registers import (
-    CLOSED_COUNT,
     FingerMotion,
     RobotiqModel,
     RobotiqStatus,
@@ -57,7 +56,9 @@ class ObjectDetection:
             self._follow_command(status, now_s)
         self.moving = status.going and self._may_move(status)
         self.holding = self._may_hold(status)
-        self.closed_on_nothing = not self.moving and not self.holding and self._is_closed(status)
+        # Gels that press on each other are nothing at once, while the force still rises.
+        known = not self.moving or self._model.fingertip_mm > 0.0
+        self.closed_on_nothing = known and not self.holding and self._is_closed(status)
         if not self.holding:
             self.gripped_at = None
         elif status.stopped_on_object and (self._decided or self._newest is None):
@@ -77,7 +78,7 @@ class ObjectDetection:
     def _may_move(self, status: RobotiqStatus) -> bool:
         if not self._decided or status.motion is FingerMotion.MOVING:
             return True
-        arrived_early = status.motion is FingerMotion.AT_POSITION and status.position_echo == CLOSED_COUNT
+        arrived_early = status.motion is FingerMotion.AT_POSITION and status.position_echo >= self._model.goal_count
         return arrived_early and not self._is_closed(status)  # they lost an object and go on closing
 
     def _may_hold(self, status: RobotiqStatus) -> bool:
@@ -87,10 +88,11 @@ class ObjectDetection:
             return inward and (known or not self._is_closed(status))
         meaningful = self._decided or self._newest is None
         if meaningful and status.motion is not FingerMotion.MOVING:
-            return status.stopped_on_object
+            gels_met = self._model.fingertip_mm > 0.0 and self._is_closed(status)
+            return status.stopped_on_object and not gels_met
         return inward and known
 
     def _is_closed(self, status: RobotiqStatus) -> bool:
         """Return whether the fingers were to close fully, and have."""
-        closing = status.position_echo == CLOSED_COUNT
+        closing = status.position_echo >= self._model.goal_count
         return closing and nothing_between(count_to_width(status.position, self._model))

@@ -24,6 +24,8 @@ FULL_SPEED = 255
 CURRENT_A_PER_COUNT = 0.010
 CLOSED_WITHIN_MM = 2.0
 """Fingers that are this close together have closed on nothing, if gOBJ reports no object."""
+GEL_GAP_MM = 1.0
+"""Closing ends where the gels of fingertip sensors are still this far apart."""
 
 FAULTS = {
     0x00: None,
@@ -44,7 +46,11 @@ PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09})
 
 @dataclass(frozen=True, slots=True)
 class RobotiqModel:
-    """Data of one 2F model. open_count, closed_count: positions at which the fingers stop after activation."""
+    """Data of one 2F model.
+
+    open_count, closed_count: positions at which the fingers stop after activation. fingertip_mm: thickness of a sensor
+    on each finger; widths are between the gels.
+    """
 
     name: str
     stroke_mm: float
@@ -52,11 +58,24 @@ class RobotiqModel:
     closed_count: int
     force_min_n: float
     force_max_n: float
+    fingertip_mm: float = 0.0
 
     @property
     def mm_per_count(self) -> float:
         """Return the width of one position count: 0.37 mm on a 2F-85."""
         return self.stroke_mm / (self.closed_count - self.open_count)
+
+    @property
+    def opening_mm(self) -> float:
+        """Return the width of the open fingers."""
+        return self.stroke_mm - 2.0 * self.fingertip_mm
+
+    @property
+    def goal_count(self) -> int:
+        """Return the position that closing aims at: fully closed, or the limit that keeps the gels apart."""
+        if self.fingertip_mm == 0.0:
+            return CLOSED_COUNT
+        return self.open_count + math.floor((self.opening_mm - GEL_GAP_MM) / self.mm_per_count)
 
 
 MODEL_2F85 = RobotiqModel("2F-85", 85.0, 3, 230, 20.0, 235.0)
@@ -145,19 +164,22 @@ def count_to_force(count: int, model: RobotiqModel) -> float:
 
 
 def width_to_count(width_mm: float, model: RobotiqModel) -> int:
-    """Return the position count nearest to a width; beyond the stroke, fully open.
+    """Return the position count nearest to a width, between fully open and just before the goal of closing.
 
     Raises CommandRefused for a width that is negative or not finite.
     """
     if not (math.isfinite(width_mm) and width_mm >= 0):
-        raise CommandRefused(f"a width of {width_mm} mm is not valid; a {model.name} opens 0 to {model.stroke_mm:g} mm")
-    return model.open_count + round((model.stroke_mm - min(width_mm, model.stroke_mm)) / model.mm_per_count)
+        raise CommandRefused(
+            f"a width of {width_mm} mm is not valid; a {model.name} opens 0 to {model.opening_mm:g} mm"
+        )
+    count = model.open_count + round((model.opening_mm - min(width_mm, model.opening_mm)) / model.mm_per_count)
+    return min(count, model.goal_count - 1)
 
 
 def count_to_width(count: int, model: RobotiqModel) -> float:
-    """Return the width in mm at a position count; 0 if the fingers touch."""
-    width_mm = model.stroke_mm - (count - model.open_count) * model.mm_per_count
-    return min(model.stroke_mm, max(0.0, width_mm))
+    """Return the width in mm at a position count; 0 if fingers or gels touch."""
+    width_mm = model.opening_mm - (count - model.open_count) * model.mm_per_count
+    return min(model.opening_mm, max(0.0, width_mm))
 
 
 def nothing_between(width_mm: float) -> bool:

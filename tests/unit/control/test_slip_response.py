@@ -57,6 +57,15 @@ def test_with_nothing_seen_or_nothing_to_guard_an_arm_stopped_for_slip_stays_sto
         assert response == SlipResponse(grasp, stop_arm=slip is not None)
 
 
+@pytest.mark.parametrize("rotation_deg", [4.0, 60.0], ids=["slip", "rotated too far"])
+def test_gels_that_press_on_each_other_after_a_loss_are_not_tightened(rotation_deg: float) -> None:
+    grasp = state(memory=changed(PRIMED, far_frames=5))
+    closed = gripper(40.0, holding=False, nothing=True, width_mm=1.0, at_s=NOW_S)
+    response = respond(grasp, view(rotation_deg, 60.0, gripper=closed))
+    assert (response.hold_n, response.stop_arm) == (None, True)
+    assert respond(grasp, view(rotation_deg, 60.0)).hold_n is not None
+
+
 def test_a_firm_grip_tolerates_more_rotation_in_the_lift_off() -> None:
     params = GuardParams()
     lifting = changed(PRIMED, frames=1, case=ArmCase.LIFT_OFF)

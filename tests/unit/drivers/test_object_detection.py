@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from slipguard_drivers.robotiq.object_detection import OBJECT_LAG_S, ObjectDetection
-from slipguard_drivers.robotiq.registers import MODEL_2F85, FingerMotion, RobotiqStatus
+from slipguard_drivers.robotiq.registers import MODEL_2F85, FingerMotion, RobotiqModel, RobotiqStatus
 
 MOVING, OPENED_ON, ON_OBJECT, ARRIVED = FingerMotion
 OPEN, OBJECT, CLOSED = 3, 120, 230
@@ -14,8 +16,8 @@ OPEN, OBJECT, CLOSED = 3, 120, 230
 class Jaws:
     """An object detection and its clock."""
 
-    def __init__(self) -> None:
-        self.detection = ObjectDetection(MODEL_2F85)
+    def __init__(self, model: RobotiqModel = MODEL_2F85) -> None:
+        self.detection = ObjectDetection(model)
         self.now_s = 100.0
 
     def see(
@@ -89,6 +91,19 @@ def test_an_object_that_is_as_thin_as_paper_stays_held_while_it_is_tightened(mot
     jaws = Jaws().rested(ON_OBJECT, 255, CLOSED - 1)
     assert jaws.see(motion, 255, CLOSED - 1, going=False) == HELD
     assert jaws.see(ON_OBJECT, 255, CLOSED - 1) == TIGHTENING
+
+
+@pytest.mark.parametrize(
+    ("beyond", "expected"), [(1, NOTHING), (-1, NOTHING), (-5, HELD)], ids=["closer", "near", "2 mm and more"]
+)
+def test_gels_that_meet_are_recognized_by_their_width(beyond: int, expected: object) -> None:
+    """A thickness that is configured a little too small must not make gel on gel a held object."""
+    model = replace(MODEL_2F85, fingertip_mm=15.0)
+    goal = model.goal_count
+    jaws = Jaws(model).rested(ARRIVED, 0, OPEN)
+    jaws.see(MOVING, 255, OPEN + 9)
+    assert jaws.see(ON_OBJECT, 255, goal + beyond) == expected
+    assert Jaws(model).rested(ARRIVED, goal, goal).see(ARRIVED, goal, goal) == NOTHING
 
 
 def test_what_is_held_at_the_start_is_held_at_once() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from slipguard.errors import CommandRefused, DeviceError
 from slipguard_drivers.robotiq.registers import (
     CLOSED_COUNT,
+    GEL_GAP_MM,
     INPUT_ADDRESS,
     MODEL_2F85,
     MODEL_2F140,
@@ -152,6 +154,17 @@ def test_an_invalid_number_is_refused(value: float) -> None:
 
 def test_a_width_beyond_the_stroke_is_fully_open() -> None:
     assert width_to_count(100.0, MODEL_2F85) == 3
+
+
+@pytest.mark.parametrize("fingertip_mm", [0.2, 5.0, 17.3, 40.0])
+def test_widths_between_the_gels_and_the_limit_that_keeps_them_apart(fingertip_mm: float) -> None:
+    model = replace(MODEL_2F85, fingertip_mm=fingertip_mm)
+    assert count_to_width(3, model) == pytest.approx(85.0 - 2 * fingertip_mm)
+    assert width_to_count(1000.0, model) == 3
+    assert GEL_GAP_MM <= count_to_width(model.goal_count, model) < GEL_GAP_MM + model.mm_per_count
+    assert width_to_count(0.0, model) == model.goal_count - 1, "a move never aims at the goal of closing"
+    count = width_to_count(3.0, model)
+    assert count_to_width(count, model) == pytest.approx(3.0, abs=0.2)
     assert width_to_count(100.0, MODEL_2F140) > 3
     with pytest.raises(CommandRefused, match="0 to 140"):
         width_to_count(-0.1, MODEL_2F140)

@@ -1,0 +1,87 @@
+"""Fingertip sensors that meet early: with their thickness configured, gel never presses on gel."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.control.reports import FaultCode
+from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest, GraspRequest, MoveJawsRequest
+
+TIP_MM = 15.0
+
+
+def holds(cell: Cell) -> list[float]:
+    return [value for _, what, value in cell.gripper.commands if what == "hold"]
+
+
+async def take_away(cell: Cell) -> None:
+    assert cell.world is not None
+    cell.world.clear(cell.now_s)
+
+
+def test_without_the_setting_gel_on_gel_is_a_held_object() -> None:
+    """What the setting is for."""
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await take_away(cell)
+        await cell.submit(GraspRequest())
+        await cell.until(lambda: cell.phase is Phase.HOLDING)
+        assert cell.truth.object_name is None
+        assert cell.truth.force_n > 30.0
+
+    play(Cell(fingertip_mm=TIP_MM, configured_mm=0.0), scene)
+
+
+@pytest.mark.parametrize("error_mm", [0.0, 0.4, -0.4], ids=["right", "too thick", "too thin"])
+def test_a_grasp_of_nothing_closes_on_nothing_and_the_gels_stay_apart(error_mm: float) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await take_away(cell)
+        await cell.submit(GraspRequest())
+        await cell.until(lambda: cell.phase is not Phase.CLOSING)
+        await asyncio.sleep(0.5)
+        assert cell.phase is Phase.IDLE
+        assert "the gripper closed on nothing" in cell.says
+        assert not cell.truth.in_contact
+        await cell.submit(MoveJawsRequest(width_mm=30.0))
+        await cell.until(lambda: cell.service.gripper.newest is not None and cell.service.gripper.newest.width_mm > 29)
+
+    play(Cell(fingertip_mm=TIP_MM, configured_mm=TIP_MM + error_mm, watched=False), scene)
+
+
+def test_a_lift_with_the_true_width() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        assert cell.service.gripper.newest is not None
+        assert cell.service.gripper.newest.width_mm == pytest.approx(18.0, abs=0.4), "a wrench"
+        await cell.lift()
+        assert cell.truth.dropped is None
+        await cell.lower()
+        await cell.release()
+
+    play(Cell("wrench", fingertip_mm=TIP_MM), scene)
+
+
+@pytest.mark.parametrize("error_mm", [0.0, -0.7], ids=["right", "too thin"])
+def test_after_a_loss_the_gels_are_not_tightened(error_mm: float) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        await cell.lift()
+        before = len(holds(cell))
+        await take_away(cell)
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        assert cell.service.state.fault is not None
+        assert cell.service.state.fault.code is FaultCode.OBJECT_LOST
+        await asyncio.sleep(3.0)
+        assert len(holds(cell)) == before, "no command tightens gel on gel"
+        if not error_mm:
+            assert not cell.truth.in_contact
+        await cell.submit(ClearRequest())
+        assert cell.phase is Phase.IDLE
+
+    play(Cell("wrench", fingertip_mm=TIP_MM, configured_mm=TIP_MM + error_mm, watched=False), scene)
