@@ -210,6 +210,40 @@ def activate(
 
 
 @app.command()
+def fingertips(
+    context: typer.Context,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    socket: SocketOption = None,
+    json: JsonOption = False,
+) -> None:
+    """Measure the thickness of the fingertip sensors: close the empty jaws gently until the gels touch.
+
+    Calibrate first. The jaws close in small steps with the lowest force, which takes about a minute, and open again.
+    Then set fingertip_mm as printed and restart the daemon. A second run checks that the gels stay apart.
+
+    Example: `slipguard ctl fingertips`
+    """
+    if not yes and not _confirm("The empty jaws close step by step until the gels touch, and open again. Measure?"):
+        raise typer.Exit(1)
+    import asyncio
+
+    from slipguard.tools.fingertips import FingertipMeasurement, describe
+
+    with _client(context, socket) as client:
+        measurement = FingertipMeasurement(
+            lambda: asyncio.to_thread(client.state),
+            lambda request: asyncio.to_thread(client.submit, request),
+            lambda width_mm: None if json else typer.echo(f"\r{width_mm:5.1f} mm", nl=False, err=True),
+        )
+        touch_mm = asyncio.run(measurement.run())
+    if json:
+        _print_json({"touch_width_mm": touch_mm, "add_mm": None if touch_mm is None else touch_mm / 2.0})
+    else:
+        typer.echo(err=True)
+        typer.echo(describe(touch_mm))
+
+
+@app.command()
 def clear(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
     """Clear a latched fault whose cause is gone; a held object stays held.
 

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import json
+from typing import Any
 
 import pytest
 from loop_cell import Cell, play
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
-from slipguard.daemon.api.requests import ClearRequest, GraspRequest, MoveJawsRequest
+from slipguard.daemon.api.requests import ClearRequest, DaemonRequest, GraspRequest, MoveJawsRequest
+from slipguard.errors import CommandRefused
+from slipguard.tools.fingertips import FingertipMeasurement, describe
 
 TIP_MM = 15.0
 
@@ -85,3 +89,59 @@ def test_after_a_loss_the_gels_are_not_tightened(error_mm: float) -> None:
         assert cell.phase is Phase.IDLE
 
     play(Cell("wrench", fingertip_mm=TIP_MM, configured_mm=TIP_MM + error_mm, watched=False), scene)
+
+
+async def measure(cell: Cell, widths: list[float]) -> float | None:
+    """Measure, from jaws that are nearly closed already."""
+    if cell.phase is Phase.IDLE:
+        await cell.submit(MoveJawsRequest(width_mm=(cell.configured_mm == 0.0) * 2 * TIP_MM + 6.0))
+        await asyncio.sleep(1.0)
+
+    async def state() -> dict[str, Any]:
+        return dict(json.loads(await cell.handlers.state()))
+
+    async def submit(request: DaemonRequest) -> None:
+        await cell.handlers.submit(request)
+
+    return await FingertipMeasurement(state, submit, widths.append).run()
+
+
+@pytest.mark.parametrize("mode", ["lift", "guard"])
+def test_the_measurement_finds_where_the_gels_touch_and_opens_again(mode: str) -> None:
+    widths: list[float] = []
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await take_away(cell)
+        touch_mm = await measure(cell, widths)
+        assert touch_mm == pytest.approx(2 * TIP_MM, abs=0.8)
+        assert touch_mm >= 2 * TIP_MM, "rather too thick"
+        assert max(cell.truth.force_n, *(value for value in holds(cell)), 0.0) == 0.0
+        assert not cell.truth.in_contact
+        assert cell.phase is Phase.IDLE
+        assert f"fingertip_mm = {touch_mm / 2:.1f}" in describe(touch_mm)
+
+    cell = play(Cell(fingertip_mm=TIP_MM, configured_mm=0.0, watched=False, guard={"mode": mode}), scene)
+    assert widths[0] > 2 * TIP_MM + 5.0
+    moves = [value for _, what, value in cell.gripper.commands if what == "move"]
+    assert len(moves) == 1 + len(widths)
+
+
+def test_the_measurement_confirms_a_right_setting_and_refuses_a_held_object() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        await take_away(cell)
+        assert await measure(cell, []) is None
+        assert not cell.truth.in_contact
+        assert "do not touch" in describe(None)
+
+    play(Cell(fingertip_mm=TIP_MM, watched=False), scene)
+
+    async def held(cell: Cell) -> None:
+        await cell.ready()
+        await cell.grasp()
+        with pytest.raises(CommandRefused, match="release first"):
+            await measure(cell, [])
+        assert cell.truth.in_contact
+
+    play(Cell(), held)

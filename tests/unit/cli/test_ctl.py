@@ -105,6 +105,13 @@ async def test_an_activation_says_what_it_does_and_needs_confirmation(daemon: Fa
     assert (code, daemon.requests) == (0, [ActivateRequest(confirm=True)])
 
 
+async def test_the_fingertips_are_measured_with_empty_jaws_only(daemon: FakeDaemonApi, tmp_path: Path) -> None:
+    assert (await ctl(daemon, tmp_path, "fingertips", typed="n\n"))[0] == 1
+    with pytest.raises(CommandRefused, match="the jaws must be empty, and the phase is holding; release first"):
+        await ctl(daemon, tmp_path, "fingertips", "--yes")
+    assert daemon.requests == []
+
+
 async def test_a_refusal_is_raised(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match="cannot lift while idle"):
@@ -123,7 +130,8 @@ def test_misuse_is_exit_code_2(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "activate", "clear", "calibrate"]
+    "command",
+    ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "activate", "fingertips", "clear", "calibrate"],
 )
 def test_help_has_an_example(command: str) -> None:
     output = CliRunner().invoke(app, [command, "--help"]).output
