@@ -33,6 +33,10 @@ class FrameCorrupt(DeviceError):
     """A frame arrived damaged: wrong size, error flag, or an impossible value. The next may be good."""
 
 
+class FrameTorn(FrameCorrupt):
+    """The upper and the lower part of a frame are from different captures."""
+
+
 class FrameFrozen(DeviceError):
     """The camera repeats a frame: identical pixels or a repeated sequence number."""
 

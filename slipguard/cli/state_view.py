@@ -122,7 +122,7 @@ def _device_text(state: Mapping[str, Any], name: str, health: Mapping[str, Any])
         texts.append(str(estimate["declined"]))
     counts = finger.get("counts", {})
     texts.append(f"{counts.get('frames', 0)} frames")
-    texts += [f"{counts[kind]} {kind}" for kind in ("corrupt", "frozen", "stalled", "late") if counts.get(kind)]
+    texts += [f"{counts[kind]} {kind}" for kind in ("corrupt", "torn", "frozen", "stalled", "late") if counts.get(kind)]
     texts += finger.get("remarks", [])
     gel = finger.get("gel") or {}
     if gel.get("action"):

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
-from slipguard.errors import FrameCorrupt, InputError
+from slipguard.errors import FrameCorrupt, FrameTorn, InputError
 from slipguard.perception.contact.change_detector import ChangeDetector
 from slipguard.perception.contact.gate import Blocks, ContactGate, block_means, blocks_near
 from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
@@ -20,6 +20,7 @@ from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate, StageTimer
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import ImageQuality
+from slipguard.perception.quality.torn_frame import TornFrames
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import AxisEstimation, fuse_axes
 from slipguard.perception.rotation.fusion import widen_for_light
@@ -80,6 +81,7 @@ class Pipeline:
         except FrameCorrupt as error:
             raise InputError(f"background image: {error}") from error
         self._quality = ImageQuality(background)
+        self._torn = TornFrames()
         self._segmenter = segmenter
         self._settings = settings
         self._background = background
@@ -133,6 +135,7 @@ class Pipeline:
 
         Raises:
             FrameCorrupt: The frame is not a gel image.
+            FrameTorn: Its two parts are from different captures.
         """
         timer = StageTimer(self._timer)
         now_s = frame.captured_at_s
@@ -142,6 +145,7 @@ class Pipeline:
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
 
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
+            self._torn.note_good(image)
             self._forget_measured()
             self._patch = None
             timer.mark("gate")
@@ -151,8 +155,11 @@ class Pipeline:
         if self._changes is not None and self._changes.restored:
             self._measured = None
         repeated = self._repeat(frame) if unchanged else None
+        if repeated is None:
+            self._refuse_torn(image, frame.sequence)
         timer.mark("gate")
         if repeated is not None:
+            self._torn.note_good(image)
             return replace(repeated, stage_ms=timer.stage_ms)
 
         probability = self._segmenter.segment(image, self._background)
@@ -227,6 +234,11 @@ class Pipeline:
         self._meter.take_reference(image, patch, now_s, StageTimer(None), rotation_deg)
         self._reference_difference_levels = quality.difference_levels
         return True
+
+    def _refuse_torn(self, image: NDArray[np.uint8], sequence: int) -> None:
+        tear = self._torn.find(image)
+        if tear is not None:
+            raise FrameTorn(f"frame {sequence} is torn at {tear}: its parts are from different captures; it is skipped")
 
     def _repeat(self, frame: Frame) -> Estimate | None:
         """Return the last estimate for an unchanged image, if it is recent, and the contact clear and long at rest."""

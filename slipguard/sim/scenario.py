@@ -18,6 +18,7 @@ class FrameDelivery:
     Attributes:
         latency_s: from exposure to delivery.
         jitter_s: standard deviation of the capture time stamps.
+        tear_probability: of a frame whose upper part (on the wire: left in the image) is still the previous capture.
         light_drift_bgr: change of the light since the background image was taken, gray levels.
     """
 
@@ -26,6 +27,7 @@ class FrameDelivery:
     jitter_s: float = 0.002
     drop_probability: float = 0.005
     duplicate_probability: float = 0.002
+    tear_probability: float = 0.0
     light_drift_bgr: tuple[float, float, float] = (0.0, 0.0, 0.0)
     noise_seed: int = 0
 

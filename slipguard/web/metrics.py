@@ -16,7 +16,7 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
-LOST_FRAMES = ("corrupt", "frozen", "stalled", "missed", "late")
+LOST_FRAMES = ("corrupt", "torn", "frozen", "stalled", "missed", "late")
 """Reasons of lost frames: these counts of a finger together."""
 
 
@@ -69,17 +69,21 @@ class _StateCollector(Collector):
     def _frames(self) -> Iterator[Metric]:
         frames = CounterMetricFamily("slipguard_frames", "Good frames.", labels=["finger"])
         lost = CounterMetricFamily("slipguard_frames_lost", "Lost frames, by reason.", labels=["finger", "reason"])
+        restarts = CounterMetricFamily(
+            "slipguard_stream_restarts", "Restarts of a camera's stream because of torn frames.", labels=["finger"]
+        )
         skipped = CounterMetricFamily(
             "slipguard_frames_skipped", "Frames processed without the network.", labels=["finger", "reason"]
         )
         for finger, state in self._state.get("fingers", {}).items():
             counts = state.get("counts", {})
             frames.add_metric([finger], counts.get("frames", 0))
+            restarts.add_metric([finger], counts.get("restarts", 0))
             for reason in LOST_FRAMES:
                 lost.add_metric([finger, reason], counts.get(reason, 0))
             for reason, count in counts.get("skipped", {}).items():
                 skipped.add_metric([finger, reason], count)
-        yield from (frames, lost, skipped)
+        yield from (frames, lost, restarts, skipped)
         yield CounterMetricFamily(
             "slipguard_deadlines_missed",
             "Cycles of the loop that started too late.",

@@ -69,6 +69,8 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     assert found["slipguard_target_force_newtons", ()] == pytest.approx(state["target_force_n"])
     assert found["slipguard_phase", (("phase", "holding"),)] == 1.0
     assert found["slipguard_frames_total", (("finger", "left"),)] == state["fingers"]["left"]["counts"]["frames"]
+    assert found["slipguard_frames_lost_total", (("finger", "left"), ("reason", "torn"))] == 0.0
+    assert found["slipguard_stream_restarts_total", (("finger", "left"),)] == 0.0
     assert found["slipguard_device_ready", (("device", "arm"),)] == 1.0
     assert found["slipguard_device_answers_total", (("device", "gripper"),)] > 10
     assert found["slipguard_recording", ()] == 0.0

@@ -124,6 +124,23 @@ async def test_leds_are_logged_and_a_value_beyond_them_refused(emulator: DigitEm
     await in_thread(capture.close)
 
 
+async def test_a_torn_image_has_its_first_rows_from_the_previous_one(emulator: DigitEmulator) -> None:
+    capture = await in_thread(lambda: UsbCapture(f"{emulator.address}/1-1"))
+    await in_thread(lambda: capture.configure(QVGA))
+    await in_thread(capture.start)
+    emulator.control("fault D20001.tear 4")
+    taken = await frames(capture, 10)
+    assert {one.damage for one in taken} == {None}
+    torn = 0
+    for one in taken:
+        rows = np.frombuffer(one.data, np.uint8).reshape(240, 320, 2)[:, 100, 0].astype(int)
+        steps = np.flatnonzero(np.diff(rows))
+        assert len(steps) <= 1
+        torn += len(steps)
+    assert torn == 4
+    await in_thread(capture.close)
+
+
 async def test_a_fault_affects_one_sensor_or_all(emulator: DigitEmulator) -> None:
     captures = []
     for bus_id in ("1-1", "1-2"):

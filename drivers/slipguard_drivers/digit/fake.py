@@ -1,6 +1,7 @@
 """Driver `fake` of the sensor: a fingertip camera of the simulated world, with a real camera's timing.
 
-It exposes on an absolute schedule, stamps frames with jitter, delivers them after a latency, loses and repeats some.
+It exposes on an absolute schedule, stamps frames with jitter, delivers them after a latency, loses, repeats and tears
+some.
 `world.faults` can make it fail: "disconnect", "stall", "frozen", "corrupt", "duplicate" (every second image comes
 twice), "light" (an additional lamp), "stamps_ahead" and "stamps_behind" (a wrong clock).
 """
@@ -64,6 +65,7 @@ class FakeSensor(TactileSensor):
         self._settings = settings
         self._model: CameraModel = self._world.camera(self._name)
         self._random = random.Random(self._model.noise_seed)
+        self._tears = random.Random(self._model.noise_seed)
         self._stream: FrameStream | None = None
         self._renderer = self._make_renderer(settings.draw, self._model.unit_seed)
         self._timers = TimerGroup()
@@ -145,8 +147,8 @@ class FakeSensor(TactileSensor):
             self._timers.call_at(arrives_at_s, lambda: stream.damaged("only a part of its bytes arrived"))
             return
 
-        def deliver(image: Image) -> None:
-            self._last_image = image
+        def deliver(captured: Image) -> None:
+            image, self._last_image = self._maybe_torn(captured), captured
             self._timers.call_at(arrives_at_s, lambda: stream.put(image, stamp_s, sequence))
 
         repeat = repeated < model.duplicate_probability or ("duplicate" in faults and sequence % 2 == 0)
@@ -157,6 +159,19 @@ class FakeSensor(TactileSensor):
         lamp = LAMP_LEVELS * ("light" in faults)
         light_bgr = (blue + lamp, green + lamp, red + lamp)
         self._renderer.render(RenderRequest(view, light_bgr, model.noise_seed), deliver)
+
+    def _maybe_torn(self, image: Image) -> Image:
+        """Return an image, or with the model's probability one whose left columns are still the last image's.
+
+        A DIGIT reads out columns of the portrait image, and its processor may overwrite what it has not sent yet.
+        """
+        last, probability = self._last_image, self._model.tear_probability
+        if last is None or probability == 0.0 or self._tears.random() >= probability:
+            return image
+        torn = image.copy()
+        first = self._tears.randrange(1, image.shape[1])
+        torn[:, :first] = last[:, :first]
+        return torn
 
     def _update_model(self) -> CameraModel:
         """Return the present camera model; a new grasp restarts the random numbers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -15,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from slipguard.emulator import Report
 from slipguard.errors import InputError
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
-from slipguard_emulators.digit.frames import encode_image, read, rendered_images
+from slipguard_emulators.digit.frames import encode_image, read, rendered_images, torn_image
 from slipguard_emulators.digit.usb_descriptors import PRODUCT_ID, VENDOR_ID
 from slipguard_emulators.digit.usbip import BulkInEndpoint, UsbDevice, UsbIpServer
 from slipguard_emulators.digit.uvc_device import UvcDevice
@@ -27,6 +28,7 @@ FAULTS = {
     "freeze": "the same image is sent again",
     "corrupt": "an image is sent with the error flag of its USB payload",
     "short": "half of an image is sent as if it were complete",
+    "tear": "the first rows of an image are still those of the previous one, without an error flag",
     "unplug": "the cable is pulled; clear it to plug the sensor in again (it must be attached again)",
 }
 SHARE_SENT = 0.5
@@ -146,6 +148,7 @@ class EmulatedCamera(UsbDevice):
         self._packed: dict[tuple[str, int, int], bytes] = {}
         self._last: bytes | None = None
         self._exposed = 0
+        self._tears = random.Random(settings.seed + number)
 
     @property
     def identity(self) -> tuple[int, int, int]:
@@ -213,7 +216,8 @@ class EmulatedCamera(UsbDevice):
             return
         unit = self.unit
         self._exposed += 1
-        image = self._encoded(self._exposed % len(self.images))
+        index = self._exposed % len(self.images)
+        image = self._torn(index) if self._occurs("tear") else self._encoded(index)
         if self._last is not None and self._occurs("freeze"):
             image = self._last
         self._last = image
@@ -230,6 +234,12 @@ class EmulatedCamera(UsbDevice):
         if key not in self._packed:
             self._packed[key] = encode_image(self.images[index], pixels, size.width_px, size.height_px)
         return self._packed[key]
+
+    def _torn(self, index: int) -> bytes:
+        """Return an image in the negotiated format whose first rows are the previous image's; they end anywhere."""
+        size = self.unit.agreed.size
+        image = torn_image(self.images[index - 1], self.images[index], self._tears.random())
+        return encode_image(image, self.unit.pixels, size.width_px, size.height_px)
 
     def _names(self, fault: str) -> tuple[str, ...]:
         """Return the name of the fault for all sensors, and for this one."""

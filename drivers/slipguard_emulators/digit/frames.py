@@ -57,6 +57,17 @@ def read(folder: Path) -> list[Image]:
     return images
 
 
+def torn_image(first: Image, second: Image, share: float) -> Image:
+    """Return an image with this share of its rows on the wire from the first image, the others from the second.
+
+    Rows on the wire are columns of the portrait image, the top row is the left column.
+    """
+    rows = min(max(round(share * FRAME_WIDTH_PX), 1), FRAME_WIDTH_PX - 1)
+    image = second.copy()
+    image[:, :rows] = first[:, :rows]
+    return image
+
+
 def encode_image(image: Image, pixels: str, width_px: int, height_px: int) -> bytes:
     """Return a portrait image as the sensor sends it: landscape, in the negotiated size and format."""
     landscape = cv2.rotate(image, cv2.ROTATE_90_CLOCKWISE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
@@ -16,6 +17,12 @@ from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFroz
 
 REOPEN_S = 2.0
 """A connected sensor that delivers no good frame for this time is closed and opened again."""
+TORN_MAX, TORN_WITHIN_S = 4, 1.0
+"""More torn frames than this within this time restart the stream, after which a DIGIT tears less than 1 % of them."""
+RESTART_INTERVAL_S = 10.0
+"""Shortest time between two restarts of one stream: a restart costs about 0.3 s of its frames."""
+RESTART_APART_S = 1.0
+"""Shortest time between restarts of different streams: one finger always watches."""
 
 
 @dataclass(slots=True)
@@ -24,6 +31,10 @@ class FrameCounts:
 
     frames: int = 0
     corrupt: int = 0
+    torn: int = 0
+    """Their two parts are from different captures."""
+    restarts: int = 0
+    """Restarts of the stream because of torn frames."""
     frozen: int = 0
     stalled: int = 0
     missed: int = 0
@@ -44,11 +55,36 @@ class FrameCounts:
         self.skipped[reason] = self.skipped.get(reason, 0) + 1
 
 
+class StreamRestarts:
+    """Decides when repeated tearing restarts a stream; shared by the fingers, so that never both restart at once."""
+
+    def __init__(self) -> None:
+        self._torn_at_s: dict[str, deque[float]] = {}
+        self._restarted_at_s: dict[str, float] = {}
+
+    def note_torn(self, name: str, now_s: float) -> None:
+        """Note a torn frame of a stream."""
+        self._torn_at_s.setdefault(name, deque(maxlen=TORN_MAX + 1)).append(now_s)
+
+    def due(self, name: str, now_s: float) -> bool:
+        """Return whether to restart a stream now; True counts as a restart."""
+        torn_at_s = self._torn_at_s.get(name)
+        if torn_at_s is None or len(torn_at_s) <= TORN_MAX or now_s - torn_at_s[0] > TORN_WITHIN_S:
+            return False
+        for other, restarted_at_s in self._restarted_at_s.items():
+            if now_s - restarted_at_s < (RESTART_INTERVAL_S if other == name else RESTART_APART_S):
+                return False
+        self._torn_at_s[name].clear()
+        self._restarted_at_s[name] = now_s
+        return True
+
+
 class SensorCapture:
-    """Captures until cancelled; a missing sensor is retried.
+    """Captures until cancelled; a missing sensor is retried, a stream that keeps tearing frames is restarted.
 
     Args:
         retry_s: First pause before a missing sensor is tried again.
+        restarts: Shared by the fingers.
         on_open: Called with the sensor's serial number each time it has been opened, before its first frame.
         on_change: Called after each change of health.
     """
@@ -58,6 +94,7 @@ class SensorCapture:
         name: str,
         sensor: TactileSensor,
         retry_s: float,
+        restarts: StreamRestarts,
         on_open: Callable[[str], None],
         on_change: Callable[[], None],
     ) -> None:
@@ -74,6 +111,7 @@ class SensorCapture:
         self.streaming = False
         self._copies: asyncio.Queue[Frame] | None = None
         self._backoff = Backoff(retry_s, longest_s=2 * retry_s)  # a cable pushed in again is noticed within a second
+        self._restarts = restarts
         self._on_open, self._on_change = on_open, on_change
 
     def assume_serial(self, serial: str) -> None:
@@ -108,10 +146,24 @@ class SensorCapture:
         """Close the sensor."""
         await close_contained(self.sensor, self.health)
 
-    def refuse_frame(self, reason: str) -> None:
+    def refuse_frame(self, reason: str, *, torn: bool = False) -> None:
         """Count a frame that was received but cannot be processed."""
-        self.counts.corrupt += 1
+        if torn:
+            self._restarts.note_torn(self.name, asyncio.get_running_loop().time())
+        self.counts.torn += torn
+        self.counts.corrupt += not torn
         self._report_error(reason)
+
+    async def _restart(self) -> None:
+        """Stop and start the stream, which ends the tearing of a DIGIT."""
+        self.counts.restarts += 1
+        self._report_error(
+            f"more than {TORN_MAX} torn frames within {TORN_WITHIN_S:g} s; the stream is restarted. If that is "
+            "repeated, use ports of different USB controllers, or set fps = 30"
+        )
+        await self.close()
+        raise_if_cancelled()
+        await self.sensor.open()
 
     def _report_error(self, reason: str) -> None:
         self.health.set_error(reason)
@@ -128,6 +180,9 @@ class SensorCapture:
         sequence: int | None = None
         while True:
             raise_if_cancelled()
+            if self._restarts.due(self.name, loop.time()):
+                await self._restart()
+                received_at_s, sequence = loop.time(), None
             try:
                 frame = await self.sensor.next_frame()
             except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:

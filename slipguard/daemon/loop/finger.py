@@ -10,11 +10,11 @@ from typing import Protocol, TypeVar
 
 from slipguard.control.messages import Condition, FingerHealth
 from slipguard.daemon.loop.async_tools import Backoff
-from slipguard.daemon.loop.capture import SensorCapture
+from slipguard.daemon.loop.capture import SensorCapture, StreamRestarts
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.driver_failure import failure_reason
 from slipguard.devices import Frame, TactileSensor
-from slipguard.errors import SlipguardError
+from slipguard.errors import FrameTorn, SlipguardError
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
@@ -110,10 +110,11 @@ class Finger:
         worker: Worker,
         make_pipeline: Callable[[str], PerceptionPipeline],
         retry_s: float,
+        restarts: StreamRestarts,
         on_change: Callable[[], None],
     ) -> None:
         self.name = name
-        self.capture = SensorCapture(name, sensor, retry_s, self._use_pipeline_of, on_change)
+        self.capture = SensorCapture(name, sensor, retry_s, restarts, self._use_pipeline_of, on_change)
         self.pipeline: PerceptionPipeline | None = None
         self.newest: TimedEstimate | None = None
         """None while the last estimate belongs to an older reference or background image."""
@@ -206,7 +207,7 @@ class Finger:
                     estimate = await self._worker.run(pipeline.process, frame)
             except Exception as error:
                 reason = failure_reason(pipeline, error, self.health)
-                capture.refuse_frame(reason)
+                capture.refuse_frame(reason, torn=isinstance(error, FrameTorn))
                 self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=reason))
                 if not isinstance(error, SlipguardError):
                     self._drop_estimate()

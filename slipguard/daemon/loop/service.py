@@ -36,6 +36,7 @@ from slipguard.control.state import GraspState, Phase, gripper_at_rest
 from slipguard.daemon.lifecycle import notify_systemd, watchdog_period_s
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.async_tools import Ticker
+from slipguard.daemon.loop.capture import StreamRestarts
 from slipguard.daemon.loop.decision import Decision, LatencyStats
 from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
 from slipguard.daemon.loop.event_log import EventLog
@@ -93,8 +94,9 @@ class Service:
         self._wake = asyncio.Event()
         self._workers = {name: make_worker(name) for name in FINGERS}
         retry_s, poll_s = config.loop.retry_s, config.loop.poll_ms / 1e3
+        restarts, wake = StreamRestarts(), self._wake.set
         self.fingers = {
-            name: Finger(name, sensors[name], self._workers[name], make_pipeline[name], retry_s, self._wake.set)
+            name: Finger(name, sensors[name], self._workers[name], make_pipeline[name], retry_s, restarts, wake)
             for name in FINGERS
         }
         if config.perception.skip_second_finger:

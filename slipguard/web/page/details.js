@@ -7,6 +7,8 @@ export const EVENTS_MAX = 50;
 const COUNT_NAMES = {
   frames: "frames",
   corrupt: "damaged",
+  torn: "torn",
+  restarts: "restarts because of torn frames",
   frozen: "frozen",
   stalled: "stalled",
   missed: "missed by the camera",

@@ -211,7 +211,9 @@ def test_a_finger_that_the_daemon_skips_stays_unambiguous() -> None:
     held = Held(gear)
     shown = [held.see(0.0) for _ in range(3)][-1]
     none = cast(Any, None)  # no frame comes of a sensor here, and none goes to a worker
-    finger, other = (Finger(name, none, none, lambda _: held.pipe, 1.0, lambda: None) for name in ("left", "right"))
+    finger, other = (
+        Finger(name, none, none, lambda _: held.pipe, 1.0, none, lambda: None) for name in ("left", "right")
+    )
     finger.skip_frames_after(other, 0.25)
     finger.newest = TimedEstimate(shown, shown.captured_at_s, shown.captured_at_s)
     frame_image = np.zeros((320, 240, 3), np.uint8)

@@ -1,0 +1,161 @@
+"""Torn frames: the part above a line is of one capture, the part below it of another, and no flag says so.
+
+A tear is one pixel sharp, and the optics are not: an edge of the object spreads over several pixels, however fast it
+moves. So a line is compared with its neighbors in the difference between the frame and the previous good one, where
+everything that stays in place cancels. At a tear the step from line to line equals the difference between what lies
+below and what lies above, and the steps before and after it do not. Both parts of a torn frame match their captures
+up to the line, so a frame without motion between its captures shows no tear and needs no rejection.
+
+A DIGIT reads out columns of the portrait frame; another camera may read out rows. Both are tested.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+GROUP_PX = 8
+"""Pixels along a line are averaged over this length: their noise falls, and no structure of the gel is finer."""
+SIDE_PX = 4
+"""Lines on each side whose mean difference is compared with the step."""
+SHARP_MIN = 0.6
+"""Step at a line over the difference between both sides: 1 at a tear. An edge blurred with a standard deviation of
+0.8 pixels reaches 0.3; cameras behind a gel blur more."""
+OUTSTANDING_MIN = 4.0
+"""The step, as a multiple of that of 95 % of the lines and of all nearby ones. Without a tear the largest is 1.5 by
+chance, and 2.6 in pairs of real frames that were compressed in blocks."""
+NEAR_PX = (2, 8)
+"""Distances of the nearby lines: edges blur over less, blocks of compressed video repeat within."""
+NOISE_FLOOR_LEVELS = 0.05
+"""Assumed noise of a group's step, grey levels, where an image has none."""
+IN_A_ROW_MAX = 10
+"""After this many torn frames the next one counts as good: a sharp line that stays, such as a dead one, is no tear."""
+
+_STEP = np.array([[0.5, -1.5, 1.5, -0.5]], np.float32)
+"""Step from line k - 1 to line k, minus the mean of the steps before and after it; on lines k - 2 to k + 1."""
+_SIDES = np.repeat(np.array([[-1.0, 1.0]], np.float32) / SIDE_PX, SIDE_PX, axis=1)
+"""Mean of the lines from k on minus that of the lines before k."""
+_ONES = np.ones((1, GROUP_PX), np.float32) / GROUP_PX
+
+Image = NDArray[np.uint8]
+Lines = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Tear:
+    """A tear before a line. along: "row" or "column" of the portrait frame. line: the first one of the lower part."""
+
+    along: str
+    line: int
+
+    def __str__(self) -> str:
+        return f"{self.along} {self.line}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameLines:
+    """A frame as lines in both directions.
+
+    Attributes:
+        rows: (groups, 320, 3), means of 8 neighboring pixels of each row.
+        columns: (groups, 240, 3), the same of each column.
+    """
+
+    rows: Lines
+    columns: Lines
+
+
+class TornFrames:
+    """Compares each frame of one sensor with the last good one."""
+
+    def __init__(self) -> None:
+        self._good: Image | None = None
+        self._lines: FrameLines | None = None
+        self._in_a_row = 0
+
+    def note_good(self, image: Image) -> None:
+        """Note a frame that needs no test; it is kept and must not change."""
+        self._good, self._lines, self._in_a_row = image, None, 0
+
+    def find(self, image: Image) -> Tear | None:
+        """Return where a frame, (320, 240, 3) uint8, is torn; None if it is good, or the first one."""
+        lines, good = frame_lines(image), self._lines
+        if good is None and self._good is not None:
+            good = frame_lines(self._good)
+        tear = None if good is None else find_tear(lines, good)
+        if tear is not None and self._in_a_row < IN_A_ROW_MAX:
+            self._in_a_row += 1
+            return tear
+        self._good, self._lines, self._in_a_row = image, lines, 0
+        return None
+
+
+def frame_lines(image: Image) -> FrameLines:
+    """Return the lines of an image, (h, w, 3) uint8; h and w are multiples of 8."""
+    return FrameLines(_grouped(np.asarray(cv2.transpose(image), np.uint8)), _grouped(image))
+
+
+def find_tear(frame: FrameLines, previous: FrameLines) -> Tear | None:
+    """Return where a frame is torn; None if it is not, or if its captures do not differ there.
+
+    A tear in the previous frame is not attributed to this one.
+    """
+    for along, now, before in (("column", frame.columns, previous.columns), ("row", frame.rows, previous.rows)):
+        line = _torn_line(now, before)
+        if line is not None:
+            return Tear(along, line)
+    return None
+
+
+def _grouped(image: Image) -> Lines:
+    """Return means over 8 pixels of the first axis: (n, m, 3) to (n / 8, m, 3)."""
+    count, length = image.shape[0] // GROUP_PX, image.shape[1]
+    pixels = image[: count * GROUP_PX].astype(np.float32).reshape(count, GROUP_PX, 3 * length)
+    return np.asarray((_ONES @ pixels).reshape(count, length, 3), np.float32)
+
+
+def _torn_line(now: Lines, before: Lines) -> int | None:
+    """Return the first line of the lower part; lines are the second axis."""
+    difference = now - before
+    step = np.asarray(cv2.filter2D(difference, -1, _STEP, anchor=(2, 0)), np.float32)
+    sides = np.asarray(cv2.filter2D(difference, -1, _SIDES, anchor=(SIDE_PX, 0)), np.float32)
+    inner = slice(SIDE_PX, difference.shape[1] - SIDE_PX + 1)
+    joint, square = _products(step, sides)[inner], _products(sides, sides)[inner]
+    noise = max(_share(_products(step, step)[inner], 0.5), NOISE_FLOOR_LEVELS**2 * step.shape[0] * 3)
+    joint -= _share(joint, 0.5)
+    outstanding = joint / np.sqrt(noise * np.maximum(square, 1e-3))
+    sizes = np.abs(outstanding)
+    typical = _share(sizes, 0.95)
+    found = np.flatnonzero((outstanding > OUTSTANDING_MIN * typical) & (joint > SHARP_MIN * square)).tolist()
+    for at in sorted(found, key=lambda place: -float(outstanding[place])):
+        nearest, farthest = NEAR_PX
+        before_it, after_it = sizes[max(at - farthest, 0) : max(at - nearest + 1, 0)], sizes[at + nearest :][:farthest]
+        nearby = float(np.concatenate([before_it, after_it]).max(initial=0.0))
+        if outstanding[at] > OUTSTANDING_MIN * nearby and _is_in(now, before, at + SIDE_PX, sides):
+            return at + SIDE_PX
+    return None
+
+
+def _products(one: Lines, other: Lines) -> NDArray[np.float32]:
+    """Return sums of products along each line, of deviations from the line's mean: whole lines flicker in a DIGIT."""
+    groups, count, _ = one.shape
+    one, other = one.reshape(groups, -1), other.reshape(groups, -1)
+    over_line = np.ones(groups, np.float32)
+    sums = np.einsum("gk,gk->k", one, other) - (over_line @ one) * (over_line @ other) / np.float32(groups)
+    return np.asarray(sums.reshape(count, 3) @ np.ones(3, np.float32), np.float32)
+
+
+def _share(values: NDArray[np.float32], share: float) -> float:
+    """Return the value that this share of the values lies below."""
+    place = int(share * len(values))
+    return float(np.partition(values, place)[place])
+
+
+def _is_in(now: Lines, before: Lines, line: int, sides: Lines) -> bool:
+    """Return whether the step at a line is rather in the first frame than, with the opposite sign, in the other."""
+    lines = slice(line - 2, line + 2)
+    step = np.einsum("gkc,k->gc", now[:, lines] + before[:, lines], _STEP[0])
+    return bool(_products(step[:, None], np.ascontiguousarray(sides[:, line : line + 1]))[0] > 0.0)
