@@ -10,9 +10,8 @@ from collections.abc import Callable
 def raise_if_cancelled() -> None:
     """Raise CancelledError if this task was cancelled and the awaited call swallowed the cancellation.
 
-    For loops that continue after any error of a driver or a library. Before Python 3.12, `asyncio.wait_for`, which
-    pymodbus wraps around every request, swallows a cancellation that arrives together with the response. An error
-    raised during cleanup also replaces the cancellation.
+    For loops that continue after any error of a driver or a library. Before Python 3.12, `asyncio.wait_for` swallows a
+    cancellation that arrives together with its result. An error raised during cleanup also replaces the cancellation.
     """
     task = asyncio.current_task()
     if task is not None and task.cancelling():

@@ -189,7 +189,7 @@ def version(
     libraries: dict[str, str | None] = {}
     for name in (
         "numpy", "onnxruntime", "opencv-contrib-python-headless", "scikit-image", "pydantic",
-        "structlog", "pymodbus", "pyserial", "ur-rtde", "torch",
+        "structlog", "ur-rtde", "torch",
     ):  # fmt: skip
         try:
             libraries[name] = installed(name)

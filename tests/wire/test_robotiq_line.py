@@ -143,7 +143,7 @@ async def test_an_invalid_response_to_a_write_is_a_time_out(emulator: RobotiqEmu
 
 
 async def test_no_response_crashes_the_driver(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
-    """Every function code with a good checksum: what pymodbus cannot make sense of it would raise inside the loop."""
+    """Every function code with a good checksum: none raises inside the loop."""
     raised: list[object] = []
     asyncio.get_running_loop().set_exception_handler(lambda loop, context: raised.append(context))
     send = emulator._port.send

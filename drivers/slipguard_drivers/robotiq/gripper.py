@@ -153,6 +153,7 @@ class RobotiqGripper(Gripper):
         if self._running:
             await asyncio.wait(self._running)
         self._modbus.close()
+        await self._modbus.closed()
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
         """Check settings and serial port for `slipguard doctor`, without opening it."""

@@ -51,6 +51,14 @@ def test_unit_rules_and_configuration_are_installed(root: Path, install) -> None
     assert ran.out.count("skipped") == 5  # nothing is run for another root
 
 
+def test_modem_manager_leaves_the_grippers_adapter_alone() -> None:
+    """It would send modem commands on the line. It reads this property of the USB device, not of the port."""
+    rules = (PROJECT / "systemd" / RULES).read_text().splitlines()
+    (rule,) = (line.split(", ") for line in rules if "ID_MM_DEVICE_IGNORE" in line)
+    assert {'SUBSYSTEM=="usb"', 'ENV{DEVTYPE}=="usb_device"', 'ATTR{idVendor}=="0403"'} < set(rule)
+    assert rule[-1] == 'ENV{ID_MM_DEVICE_IGNORE}="1"'
+
+
 def test_a_second_time_changes_nothing(root: Path, install) -> None:  # type: ignore[no-untyped-def]
     install()
     before = {path: path.stat().st_mtime_ns for path in root.rglob("*")}
