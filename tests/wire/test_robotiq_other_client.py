@@ -16,6 +16,7 @@ from slipguard_emulators.robotiq.jaws import SimpleJaws
 @pytest.fixture
 async def emulator(tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
     emulator = RobotiqEmulator(RobotiqEmulator.Settings(link=tmp_path / "ttyGripper", quick=5.0))
+    emulator.registers.draw_lag_s = lambda: 0.0  # this client does not wait for gOBJ to follow a command
     await emulator.start()
     yield emulator
     await emulator.stop()
