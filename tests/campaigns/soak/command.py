@@ -21,6 +21,7 @@ from slipguard.daemon import log_setup as log
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import InputError
 from slipguard.thread_priority import set_realtime_priority
+from tests.campaigns.soak.checks import GROWTH_SAMPLES_MIN, growth_judged
 from tests.campaigns.soak.resources import ResourceSample
 from tests.campaigns.soak.run import SoakResult, run_soak
 from tests.campaigns.soak.settings import SoakSettings
@@ -57,7 +58,7 @@ def soak(
     Objects are lifted, devices fail and recover, recordings run. On the virtual clock an hour takes a minute or two:
     the cameras deliver 15 images per second of the untouched gel, the loop period is 50 ms, the rotation comes from the
     simulated world, and every half hour one lift runs with rendered images and the network. On the real clock
-    everything runs as with `slipguard run --sim`.
+    everything runs as with `slipguard run --sim`. Growth is judged in soaks of about ten minutes and more.
 
     Example: `python -m tests.campaigns soak --hours 8`, `python -m tests.campaigns soak --minutes 10 --clock real
     --page --as-service`
@@ -67,7 +68,7 @@ def soak(
         set_realtime_priority()
     length_s = 3600.0 * hours + 60.0 * minutes
     if length_s < SHORTEST_S:
-        raise InputError(f"{length_s:g} s is too short to see growth; give --hours 8 or --minutes 10")
+        raise InputError(f"{length_s:g} s is too short for one lift; give --hours 8 or --minutes 10")
     settings = SoakSettings(length_s, clock is ClockKind.virtual, seed=seed, page=page, recording=recording)
     found = _run(settings, samples)
     if json:
@@ -106,6 +107,9 @@ def _print(console: Console, found: SoakResult) -> None:
         bad = "[bold red]too little[/]" if one.at_least else "[bold red]too much[/]"
         table.add_row(one.what, value, f"{'≥' if one.at_least else '≤'} {limit}", "good" if one.good else bad)
     console.print(table)
+    if not growth_judged(found.samples):
+        samples = f"{len(found.samples)} samples; {GROWTH_SAMPLES_MIN} are needed"
+        console.print(f"growth of memory is not judged ({samples}): give --minutes 10 or more")
     console.print("; ".join(f"{what} {count}" for what, count in sorted(found.counts.items())))
     first, last = found.samples[0], found.samples[-1]
     console.print(

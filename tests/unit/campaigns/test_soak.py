@@ -14,7 +14,7 @@ import pytest
 
 from tests.campaigns.command_line import run
 from tests.campaigns.soak import command as soak
-from tests.campaigns.soak.checks import SoakCheck, StorageLimits, WorkDone, check_soak, growth
+from tests.campaigns.soak.checks import GROWTH_SAMPLES_MIN, SoakCheck, StorageLimits, WorkDone, check_soak, growth
 from tests.campaigns.soak.page_client import PageProcess
 from tests.campaigns.soak.resources import ResourceSample, take_sample
 from tests.campaigns.soak.run import SoakResult
@@ -69,6 +69,12 @@ def test_growth_is_named(name: str, step: float, what: str) -> None:
 def test_resources_left_after_shutdown_are_named(name: str) -> None:
     (left,) = failed_checks([STILL] * 50, after=replace(EMPTY, **{name: getattr(EMPTY, name) + 1}))
     assert left.endswith("left after shutdown")
+
+
+def test_growth_is_not_judged_with_too_few_samples() -> None:
+    grown = replace(STILL, rss_mb=1.5 * STILL.rss_mb)
+    assert failed_checks([STILL, grown]) == []
+    assert failed_checks([*[STILL] * GROWTH_SAMPLES_MIN, grown, grown]) == ["memory growth"]
 
 
 def test_missed_deadlines_and_a_soak_without_samples_fail() -> None:
