@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping
-from itertools import groupby
 from typing import Any
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
 from rich.table import Table
+
+from slipguard.control.messages import without_figures
 
 HEALTH_COLORS = {"ready": "green", "error": "yellow", "disconnected": "red"}
 EVENTS_MAX = 6
@@ -26,7 +28,7 @@ def state_table(state: Mapping[str, Any]) -> RenderableType:
         color = HEALTH_COLORS.get(health_state, "white")
         devices.add_row(name, f"[{color}]{escape(health_state)}[/]", escape(_device_text(state, name, health)))
     events = _two_columns()
-    for number, line in enumerate(_event_lines(state.get("messages", []))):
+    for number, line in enumerate(_event_lines(state)):
         events.add_row("last events" if number == 0 else "", escape(line))
     return Group(grasp, "", devices, "", events)
 
@@ -130,10 +132,20 @@ def _device_text(state: Mapping[str, Any], name: str, health: Mapping[str, Any])
     return ", ".join(texts)
 
 
-def _event_lines(messages: list[str]) -> Iterator[str]:
-    """Return the newest messages, the newest last; a message that is repeated in a row appears once."""
-    runs = [(message, len(list(same))) for message, same in groupby(messages)]
-    for message, times in runs[-EVENTS_MAX:]:
-        yield message if times == 1 else f"{message} (×{times})"
-    if not runs:
+def _event_lines(state: Mapping[str, Any]) -> Iterator[str]:
+    """Return one line per kind of event, the newest last: newest time and figures, and how often since when."""
+    kinds: dict[str, list[Mapping[str, Any]]] = {}
+    for event in state.get("events", []):
+        kind = without_figures(event["text"])
+        kinds[kind] = [*kinds.pop(kind, []), event]
+    for same in list(kinds.values())[-EVENTS_MAX:]:
+        repeated = f" (×{len(same)} since {_clock_time(state, same[0])})" if len(same) > 1 else ""
+        yield f"{_clock_time(state, same[-1])} {same[-1]['text']}{repeated}"
+    if not kinds:
         yield "none yet"
+
+
+def _clock_time(state: Mapping[str, Any], event: Mapping[str, Any]) -> str:
+    """Return the time of an event on the clock of this machine; the daemon's own clock begins at its start."""
+    ago_s = (state.get("now_s") or event["at_s"]) - event["at_s"]
+    return time.strftime("%H:%M:%S", time.localtime(time.time() - ago_s))

@@ -91,4 +91,4 @@ class StateResponse(ApiResponse):
     devices: dict[str, dict[str, Any]]
     waiting_for: list[str]
     deadlines_missed: int
-    messages: list[str]
+    events: list[dict[str, Any]]

@@ -127,9 +127,7 @@ class Container:
             newest = self.state()
             return newest and good(newest)
 
-        until(
-            reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "fault", "waiting_for", "messages")}
-        )
+        until(reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "fault", "waiting_for", "events")})
         return newest
 
     # --- what was written ---

@@ -59,7 +59,7 @@ class FakeDaemonApi(DaemonApi):
             "devices": {},
             "waiting_for": [],
             "deadlines_missed": 0,
-            "messages": ["gripped", "holding"],
+            "events": [{"at_s": 1.0, "level": "info", "text": "gripped"}],
         }
 
     async def state(self) -> bytes:

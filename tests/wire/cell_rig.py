@@ -186,7 +186,7 @@ def wait_for(client: Client, good: Callable[[dict[str, Any]], object], otherwise
         assert newest["fault"] is None, newest["fault"]
         return good(newest)
 
-    until(reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "waiting_for", "messages")})
+    until(reached, otherwise, lambda: {key: newest.get(key) for key in ("phase", "waiting_for", "events")})
     return newest
 
 

@@ -11,9 +11,11 @@ from slipguard import __version__
 from slipguard.daemon.loop.gel_monitor import GelCondition
 from slipguard.daemon.loop.service import Service
 
+EVENTS_MAX = 20
+
 
 def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, object]:
-    """Return the state of the grasp and of each device, and the newest messages.
+    """Return the state of the grasp and of each device, and the newest events.
 
     Times are on the monotonic clock. now_s: start of the last cycle of the loop. limits: from the configuration.
     lifted_mm: height of the arm above where the lift began; None if that is not known.
@@ -63,8 +65,14 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         "latency": _latency(service.latency_stats.latencies_s),
         "waiting_for": service.waiting_for,
         "deadlines_missed": service.deadlines_missed,
-        "messages": service.event_log.lines[-10:],
+        "events": _newest_events(service),
     }
+
+
+def _newest_events(service: Service) -> list[dict[str, object]]:
+    """Return infos and warnings; a fault is in `fault`, and was reported as a warning before."""
+    events = [event for event in service.event_log.events if event.level != "fault"]
+    return [{"at_s": event.at_s, "level": event.level, "text": event.text} for event in events[-EVENTS_MAX:]]
 
 
 def health_problem(service: Service) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from typing import Any
 
 import pytest
@@ -54,7 +55,13 @@ HELD: dict[str, Any] = {
         "gripper": {"state": "error", "reason": "gripper: no answer within 50 ms"},
         "arm": {"state": "ready", "reason": None},
     },
-    "messages": ["gripped", "slip", "slip", "slip"],
+    "now_s": 130.0,
+    "events": [
+        {"at_s": 10.0, "level": "info", "text": "gripped with 40 N"},
+        {"at_s": 70.0, "level": "warning", "text": "slip of 1.2°"},
+        {"at_s": 100.0, "level": "info", "text": "tightened"},
+        {"at_s": 130.0, "level": "warning", "text": "slip of 3.4°"},
+    ],
 }  # fmt: skip
 
 
@@ -76,7 +83,15 @@ def test_grasp_and_devices_are_shown() -> None:
     assert "left ready D20479, contact of 2160 px, round contact, 1280 frames, 2 corrupt, 7 late" in text
     assert "right disconnected right: no DIGIT with serial number D20510; [plugged] in are D1 and D2" in text
     assert "gripper error gripper: no answer within 50 ms" in text
-    assert "last events gripped slip (×3)" in text
+
+
+def test_each_kind_of_event_is_one_line_with_its_newest_time_and_a_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TZ", "UTC")
+    time.tzset()
+    monkeypatch.setattr("slipguard.cli.state_view.time.time", lambda: 43200.0)
+    assert shown(HELD).endswith(
+        "last events 11:58:00 gripped with 40 N 11:59:30 tightened 12:00:00 slip of 3.4° (×2 since 11:59:00)"
+    )
 
 
 def test_a_fault_comes_with_what_to_do() -> None:
@@ -118,7 +133,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     "unknown start": ({"lifted_mm": None}, "no start of a lift known, moving at 50 mm/s"),
     "no arm": ({"arm": None}, "arm not connected"),
     "stopped arm": ({"arm": HELD["arm"] | {"protective_stop": True}}, "protective stop"),
-    "new": ({"messages": []}, "last events none yet"),
+    "new": ({"events": []}, "last events none yet"),
 }
 
 
