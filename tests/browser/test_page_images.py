@@ -23,15 +23,14 @@ MINUTE_FILLED_MS = 25_000
 
 
 async def check(page: Page, screenshots: PageScreenshots, name: str) -> None:
-    """Check contrast in both themes and layout at every width; take screenshots of the usual widths."""
+    """Check contrast in both themes and layout at every width; take screenshots."""
     for kind, (width, height) in WIDTHS.items():
         await page.set_viewport_size({"width": width, "height": height})
         for theme in THEMES if kind == "desk" or screenshots.folder else THEMES[:1]:
             await page.emulate_media(color_scheme=theme, reduced_motion="reduce")
             await page.wait_for_timeout(SETTLED_MS)
             assert not await low_contrast_texts(page) + await layout_problems(page), f"{name}, {theme}, {kind}"
-            if kind != "narrow":
-                await screenshots.keep(page, f"{name}-{kind}-{theme}")
+            await screenshots.keep(page, f"{name}-{kind}-{theme}")
     assert not await unnamed_elements(page), name
 
 

@@ -6,7 +6,8 @@ const LEFT = 46;
 const RIGHT = 10;
 const TOP = 8;
 const BOTTOM = 22;
-const MARK_COLORS = { fault: "--fault-line", warning: "--slip-line" };
+const MARK_COLORS = { fault: "--fault-line", slip: "--slip-line", warning: "--soft" };
+const WARNING_HEIGHT = 8; // a warning is a small mark on the time axis, since there may be many
 
 /** Return ticks at steps of 1, 2 or 5 between low and high, at most `most` of them. */
 export function ticks(low, high, most) {
@@ -29,7 +30,7 @@ export class Chart {
   }
 
   /**
-   * plot: {now_s, low, high, unit, live, shades: [{from_s, to_s, color}], marks: [{at_s, level}],
+   * plot: {now_s, low, high, unit, live, shades: [{from_s, to_s, color}], marks: [{at_s, kind}],
    * levels: [{value, color, label}], bands: [{points: [t_s, low, high][], color}],
    * lines: [{points: [t_s, value][], color, dash}]}; colors are names of custom properties.
    */
@@ -109,11 +110,11 @@ function paintBehind({ pen, x, y, width, height, color }, plot) {
     pen.fillRect(x(shade.from_s), TOP, Math.max(4, x(shade.to_s) - x(shade.from_s)), height - TOP - BOTTOM);
   }
   for (const mark of plot.marks) {
-    pen.strokeStyle = color(MARK_COLORS[mark.level]);
+    pen.strokeStyle = color(MARK_COLORS[mark.kind]);
     pen.lineWidth = 2;
     pen.setLineDash([]);
     pen.beginPath();
-    pen.moveTo(x(mark.at_s), TOP);
+    pen.moveTo(x(mark.at_s), mark.kind === "warning" ? height - BOTTOM - WARNING_HEIGHT : TOP);
     pen.lineTo(x(mark.at_s), height - BOTTOM);
     pen.stroke();
   }

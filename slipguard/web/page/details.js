@@ -15,8 +15,6 @@ const COUNT_NAMES = {
   late: "too late",
 };
 
-const REPEAT_MS = 20000;
-const DEVICE_MESSAGE = /^(left|right|gripper|arm)( finger)?: /;
 const RETRY_NOTE = "slipguard keeps trying to connect. For more information run: slipguard doctor";
 
 /** Show state, reason and advice of each device; without a connection, only that they are unknown. */
@@ -77,7 +75,7 @@ function milliseconds(latency) {
   return latency ? [latency.p50_ms.toFixed(1), latency.p99_ms.toFixed(1)] : ["–", "–"];
 }
 
-/** The newest events, newest first. A repeated event is shown once, with its newest figures and a count. */
+/** The newest events, newest first: one line per kind of event, with its newest time and figures, and a count. */
 export class Events {
   constructor() {
     this.list = byId("events");
@@ -95,9 +93,10 @@ export class Events {
     if (event.level === "fault") {
       this.events = this.events.filter((one) => one.text !== `${event.text}; ${event.what_to_do}`);
     }
-    const repeated = this.events.findIndex((one, index) => isRepeat(event, one, index, at));
-    const times = repeated < 0 ? 1 : this.events.splice(repeated, 1)[0].times + 1;
-    this.events.unshift({ ...event, at, times });
+    const kind = kindOf(event);
+    const known = this.events.findIndex((one) => kindOf(one) === kind);
+    const earlier = known < 0 ? { times: 0, since: at } : this.events.splice(known, 1)[0];
+    this.events.unshift({ ...event, at, times: earlier.times + 1, since: earlier.since });
     this.events.length = Math.min(this.events.length, EVENTS_MAX);
     this.show();
   }
@@ -107,13 +106,13 @@ export class Events {
     this.list.hidden = this.events.length === 0;
     this.list.replaceChildren(
       ...this.events.map((event) => {
-        const text = event.times > 1 ? `${event.text} (×${event.times})` : event.text;
         const item = make("li", { className: event.level });
         item.append(make("time", { textContent: timeText(event.at), dateTime: event.at.toISOString() }));
         const content = make("div", {});
         if (event.level !== "info") content.append(make("b", { className: "level", textContent: event.level }), " ");
-        content.append(text);
-        if (event.what_to_do) content.append(make("p", { className: "do", textContent: event.what_to_do }));
+        content.append(event.text);
+        if (event.what_to_do) content.append(". ", make("span", { className: "do", textContent: event.what_to_do }));
+        if (event.times > 1) content.append(" ", make("span", { className: "times", textContent: timesText(event) }));
         item.append(content);
         return item;
       }),
@@ -121,10 +120,11 @@ export class Events {
   }
 }
 
-/** Return whether an event repeats the last one, or a recent message of a device with other figures. */
-function isRepeat(event, one, index, at) {
-  if (event.level === "fault" || event.level !== one.level) return false;
-  if (!DEVICE_MESSAGE.test(event.text)) return index === 0 && event.text === one.text;
-  const withoutFigures = (text) => text.replace(/[\d.]+/g, "#");
-  return at - one.at < REPEAT_MS && withoutFigures(event.text) === withoutFigures(one.text);
+/** Return what two events of the same kind have in common: everything but the figures. */
+function kindOf(event) {
+  return `${event.level} ${event.text.replace(/\d+(\.\d+)?/g, "#")}`;
+}
+
+function timesText(event) {
+  return `×${event.times} since ${timeText(event.since)}`;
 }

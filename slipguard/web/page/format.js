@@ -80,7 +80,7 @@ function faultDetail(state) {
 /** Format a rotation, of one finger or of both. */
 export function rotationText(rotation_deg, sigma_deg) {
   if (rotation_deg === null || rotation_deg === undefined) return "no estimate";
-  return `${signed(rotation_deg)}° ± ${sigma_deg.toFixed(1)}°`;
+  return `${signed(rotation_deg)}°\u00a0±\u00a0${sigma_deg.toFixed(1)}°`; // without a line break
 }
 
 /** Return the forces of a state in newtons; null if unknown. */

@@ -18,14 +18,15 @@ export class Graphs {
 
   show(history, view) {
     const samples = history.samples.filter((one) => one.t_s >= history.now_s - SPAN_S);
+    const slips = history.stretches((one) => one.slipping);
     const common = {
       now_s: history.now_s,
       live: view.live,
       shades: [
         ...shades(history.stretches((one) => one.phase === "fault"), "--fault-shade"),
-        ...shades(history.stretches((one) => one.slipping), "--slip-shade"),
+        ...shades(slips, "--slip-shade"),
       ],
-      marks: history.marks.filter((mark) => mark.level !== "info"),
+      marks: [...history.marks, ...slips.map(([at_s]) => ({ at_s, kind: "slip" }))],
     };
     this.rotation.draw({ ...common, ...rotationPlot(samples) });
     const limit_n = view.state ? forces(view.state).limit_n : null;

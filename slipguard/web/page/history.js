@@ -14,11 +14,7 @@ export class History {
 
   /** Replace all samples by the daemon's history from before this page was opened. */
   replace(samples) {
-    const slipping = this.samples.filter((one) => one.slipping);
     this.samples = [...samples];
-    for (const one of this.samples) {
-      one.slipping ??= slipping.some((other) => Math.abs(other.t_s - one.t_s) < 0.06);
-    }
   }
 
   /** Add a sample; ignored if it is not newer than the newest. If the clock has restarted, start over. */
@@ -32,9 +28,9 @@ export class History {
     this.marks = this.marks.filter((mark) => mark.at_s >= oldest);
   }
 
-  /** Add an event that the charts mark. */
+  /** Add a mark for a fault or a warning; slip is marked by the samples. */
   mark(at_s, level) {
-    this.marks.push({ at_s, level });
+    if (level !== "info") this.marks.push({ at_s, kind: level });
   }
 
   /** Return the time of the newest sample; 0 if there is none. */

@@ -45,7 +45,7 @@ new LiveStream({
     offlineSince = null;
     if (sample.t_s !== null) {
       clockOffset_s = Date.now() / 1e3 - sample.t_s;
-      history.add({ ...sample, slipping: state.slipping });
+      history.add(sample);
     }
     show();
   },
