@@ -51,7 +51,7 @@ def dashboard_orders(controller: UrEmulator) -> list[object]:
 
 def saw_no_program(arm: LiftModeArm) -> bool:
     """Whether the driver has received that no program runs. No person starts one within the 8 ms of a packet."""
-    return arm._monitor.stopped_at_s > arm._connected_at_s
+    return arm._script.has_ended
 
 
 async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:

@@ -139,7 +139,7 @@ async def test_a_program_resumed_at_the_panel_is_ended(controller: UrEmulator, a
 async def test_what_prevents_control_after_a_stop_is_reported(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
     controller.control("fault protective_stop")
-    assert await until(lambda: arm._monitor.stopped_at_s > arm._connected_at_s)
+    assert await until(lambda: arm._script.has_ended)
     controller.control("clear")
     controller.control("panel play")
     assert await until(lambda: arm._blocked)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 
 from slipguard.errors import DeviceLost
 from slipguard_drivers.ur5.rtde import connect_tcp
 
 PORT = 29999
 RESPONSE_TIMEOUT_S = 1.0
+STOP_TIMEOUT_S = 0.3
 OUTDATED = "reconnect to port"
 """A connection that was made in local control stays refused after the robot is switched to remote control."""
 
@@ -72,3 +74,13 @@ class DashboardClient:
         if not line.endswith(b"\n"):
             raise DeviceLost(f"{self._name}: {self._host}:{PORT} (dashboard) closed the connection")
         return line.decode("ascii", "replace").strip()
+
+
+async def stop_program(name: str, host: str) -> bool:
+    """Stop the running or paused program over a connection of its own; return whether the dashboard answered."""
+    dashboard, answered = DashboardClient(name, host), False
+    with contextlib.suppress(DeviceLost):
+        await dashboard.ask("stop", timeout_s=STOP_TIMEOUT_S)
+        answered = True
+    dashboard.close()
+    return answered

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from slipguard.devices import Arm, ArmState, DriverContext
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.ur5.lift_mode import check_lift
+from slipguard_drivers.ur5.preconditions import check_lift
 
 if TYPE_CHECKING:
     from slipguard.sim.world import World

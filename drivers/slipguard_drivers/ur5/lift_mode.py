@@ -21,16 +21,17 @@ from typing import Any
 from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.ur5.dashboard import DashboardClient
+from slipguard_drivers.ur5.dashboard import DashboardClient, stop_program
 from slipguard_drivers.ur5.motion_client import MotionWorkerClient
-from slipguard_drivers.ur5.preconditions import check_robot_is_free
+from slipguard_drivers.ur5.own_script import OwnScript
+from slipguard_drivers.ur5.preconditions import check_lift, check_robot_is_free
 from slipguard_drivers.ur5.settings import Ur5Settings
-from slipguard_drivers.ur5.state_monitor import STALE_S, STOPPED, RobotState, StateMonitor
+from slipguard_drivers.ur5.state_monitor import STALE_S, RobotState, StateMonitor
 
 HEARTBEAT_S = 0.05
 LOST_S = 0.5
 """If the controller's clock stands still this long, the worker is killed and the arm must be opened again."""
-STOP_TIMEOUT_S, MOVE_TIMEOUT_S, DASHBOARD_STOP_TIMEOUT_S = 0.3, 0.5, 0.3
+STOP_TIMEOUT_S, MOVE_TIMEOUT_S = 0.3, 0.5
 DISAGREE_S = 1.0
 """ur-rtde's own receiver may die unnoticed, so its report of a motion is compared with the monitored speed."""
 SPEED_MIN_MM_S = 1.0
@@ -44,8 +45,6 @@ the arm is tried to be regained afterwards."""
 AFTER_STOP_MM_S = 20.0
 """Speed limit after a safety stop, until a motion has reached its goal."""
 REACHED_M = 0.001
-START_S = 0.2
-"""An uploaded script may start this much later; until then, a stopped program proves nothing."""
 
 
 class SafetyStopActive(CommandRefused):
@@ -61,6 +60,7 @@ class LiftModeArm(Arm):
         self._monitor = StateMonitor(name, settings.host, on_lost=self._lose)
         self._worker = MotionWorkerClient(name, settings.host)
         self._dashboard = DashboardClient(name, settings.host)
+        self._script = OwnScript(self._monitor, 1.0 / settings.watchdog_hz + 2 * LOST_S)
         self._heartbeat: asyncio.Task[None] | None = None
         self._dashboard_stop: asyncio.Task[bool] | None = None
         self._lost: str | None = None
@@ -72,10 +72,7 @@ class LiftModeArm(Arm):
         self._moving = False  # as ur-rtde reports it
         self._stops = 0
         self._reopen_expected = False
-        self._connected_at_s = math.inf
         self._agreed_at_s = math.inf
-        self._own_until_s = -math.inf  # until then, a running program may be the script we left behind,
-        self._left_at_s = -math.inf  # unless no program was running since
 
     async def open(self) -> None:
         """Connect without moving; heights are relative to the present position. Idempotent.
@@ -98,9 +95,9 @@ class LiftModeArm(Arm):
             await self._monitor.close()
             raise
         self._reopen_expected = False
-        now_s = asyncio.get_running_loop().time()
         self._lost, self._blocked, self._moving = None, None, False
-        self._connected_at_s = self._agreed_at_s = now_s
+        self._agreed_at_s = asyncio.get_running_loop().time()
+        self._script.controlled()
         self._heartbeat = asyncio.create_task(self._run_heartbeat(), name=f"{self._name}: heartbeat")
 
     async def state(self) -> ArmState:
@@ -151,7 +148,7 @@ class LiftModeArm(Arm):
         """
         self._stops += 1
         if (reason := self._why_lost()) is not None:
-            if self._own_script_may_run and await self._stop_by_dashboard():
+            if self._script.may_run and await stop_program(self._name, self._settings.host):
                 reason += "; a stop was sent to the dashboard all the same"
             raise DeviceLost(reason)
         if not self._monitoring_only:
@@ -168,8 +165,8 @@ class LiftModeArm(Arm):
             with contextlib.suppress(DeviceError, CommandRefused):
                 await self._worker.call("stop", timeout_s=STOP_TIMEOUT_S)
                 await self._worker.call("leave", timeout_s=STOP_TIMEOUT_S)
-        elif self._monitoring_only and self._own_script_may_run:
-            await self._stop_by_dashboard()
+        elif self._monitoring_only and self._script.may_run:
+            await stop_program(self._name, self._settings.host)
         self._monitoring_only = False
         if self._reopen_expected:
             self._worker.kill()
@@ -183,19 +180,17 @@ class LiftModeArm(Arm):
         """Check that the robot is free; only then let ur-rtde connect to it."""
         settings = self._settings
         self._worker.start_spare()  # it starts during the checks
-        now_s = asyncio.get_running_loop().time()
-        if now_s > self._left_at_s and self._monitor.newest.runtime == STOPPED:
-            self._own_until_s = -math.inf
-        own_program = self._own_script_may_run
+        self._script.forget_if_stopped()
+        own_program = self._script.may_run
         await check_robot_is_free(self._name, settings, self._monitor, self._dashboard, own_program=own_program)
-        self._own_until_s, self._left_at_s = math.inf, -math.inf
+        self._script.uploading()
         try:
             upper_registers = settings.registers == "upper"
             await self._worker.connect(
                 settings.watchdog_hz, settings.stop_mm_s2 / 1000.0, upper_registers=upper_registers
             )
         except BaseException:
-            self._leave_script(START_S)
+            self._script.abandon(starting=True)
             raise
 
     # --- heartbeat ---
@@ -231,7 +226,7 @@ class LiftModeArm(Arm):
         if age_s > STALE_S:  # stop what may be moving, and do not feed the watchdog
             await self._worker.call("stop", timeout_s=STOP_TIMEOUT_S)
             return
-        if self._script_ended or self._safety_stopped:
+        if self._script.has_ended or self._script.safety_stopped:
             await self._handle_interrupted_script()
             return
         reply = await self._worker.call("beat", timeout_s=1.0 / self._settings.watchdog_hz)
@@ -248,39 +243,26 @@ class LiftModeArm(Arm):
                 f"{DISAGREE_S:g} s; open it again"
             )
 
-    @property
-    def _script_ended(self) -> bool:
-        """Whether a packet said since our script started that no program runs; a later one is another user's."""
-        return self._monitor.stopped_at_s > self._connected_at_s
-
-    @property
-    def _safety_stopped(self) -> bool:
-        """Whether a safety stop was active since our script started, however short."""
-        return self._monitor.safety_stop_at_s > self._connected_at_s
-
     async def _handle_interrupted_script(self) -> None:
         """After a safety stop, only monitor the arm; after anything else, give it up to the other program."""
         self._worker.kill()
         self._monitoring_only, self._moving = True, False
-        if not self._safety_stopped:
+        if not self._script.safety_stopped:
             await asyncio.sleep(HEARTBEAT_S)  # the packet that reports the stop may not have arrived yet
-        if not self._safety_stopped:
-            self._own_until_s = -math.inf
+        if not self._script.safety_stopped:
+            self._script.forget()
             raise DeviceLost(f"{self._name}: the control script has ended on the controller; open the arm again")
         self._after_stop, self._first_goal_m, self._retry_at_s = True, math.nan, -math.inf
-        self._left_at_s = self._connected_at_s  # a script that is paused since then is ours
+        self._script.paused()
 
     async def _follow_safety_stop(self, state: RobotState) -> None:
         """End our paused script; take control again when the stop is over."""
         loop = asyncio.get_running_loop()
         due = loop.time() >= self._retry_at_s
-        if self._own_script_may_run:
-            self._own_until_s = math.inf
-            if state.runtime != STOPPED and (due or not state.safety_stop):
-                self._retry_at_s = loop.time() + RETRY_S
-                await self._stop_by_dashboard()
-                return
-        if state.safety_stop:
+        if self._script.still_paused() and (due or not state.safety_stop):
+            self._retry_at_s = loop.time() + RETRY_S
+            await stop_program(self._name, self._settings.host)
+        elif state.safety_stop:
             self._blocked = None
         elif due:
             try:
@@ -288,8 +270,8 @@ class LiftModeArm(Arm):
             except DeviceLost as error:
                 self._blocked, self._retry_at_s = str(error), loop.time() + RETRY_S
                 return
-            self._monitoring_only, self._blocked = False, None
-            self._connected_at_s = self._agreed_at_s = loop.time()
+            self._monitoring_only, self._blocked, self._agreed_at_s = False, None, loop.time()
+            self._script.controlled()
 
     async def _call(self, request: str, *arguments: object, timeout_s: float) -> Any:
         try:
@@ -319,29 +301,10 @@ class LiftModeArm(Arm):
             return
         self._lost, self._reopen_expected = reason, True
         self._worker.kill()
-        if self._own_until_s == math.inf and not self._script_ended:
-            self._leave_script()
-            self._dashboard_stop = asyncio.create_task(self._stop_by_dashboard(), name=f"{self._name}: dashboard stop")
-
-    async def _stop_by_dashboard(self) -> bool:
-        """Stop the running program; return whether the dashboard answered."""
-        dashboard, answered = DashboardClient(self._name, self._settings.host), False
-        with contextlib.suppress(DeviceError):
-            await dashboard.ask("stop", timeout_s=DASHBOARD_STOP_TIMEOUT_S)
-            answered = True
-        dashboard.close()
-        return answered
-
-    def _leave_script(self, starts_within_s: float = 0.0) -> None:
-        """Remember a script of ours that the watchdog will end: until then a running program counts as ours."""
-        now_s = asyncio.get_running_loop().time()
-        self._left_at_s = now_s + starts_within_s
-        self._own_until_s = now_s + 1.0 / self._settings.watchdog_hz + 2 * LOST_S
-
-    @property
-    def _own_script_may_run(self) -> bool:
-        now_s = asyncio.get_running_loop().time()
-        return now_s < self._own_until_s and self._monitor.stopped_at_s <= self._left_at_s
+        if self._script.can_be_lost:
+            self._script.abandon()
+            stopping = stop_program(self._name, self._settings.host)
+            self._dashboard_stop = asyncio.create_task(stopping, name=f"{self._name}: dashboard stop")
 
     async def _end_tasks(self) -> None:
         heartbeat, self._heartbeat = self._heartbeat, None
@@ -351,11 +314,3 @@ class LiftModeArm(Arm):
         if self._dashboard_stop is not None:
             await self._dashboard_stop
             self._dashboard_stop = None
-
-
-def check_lift(name: str, height_mm: float, speed_mm_s: float) -> None:
-    """Raise CommandRefused if height or speed is not valid."""
-    if not math.isfinite(height_mm):
-        raise CommandRefused(f"{name}: height_mm is {height_mm}; it must be a finite number")
-    if not (math.isfinite(speed_mm_s) and speed_mm_s > 0):
-        raise CommandRefused(f"{name}: speed_mm_s is {speed_mm_s}; it must be above 0")

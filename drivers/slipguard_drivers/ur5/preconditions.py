@@ -1,4 +1,4 @@
-"""Checks whether lift mode may take the robot, before ur-rtde connects.
+"""Checks whether lift mode may take the robot, before ur-rtde connects, and whether a lift is valid.
 
 ur-rtde's constructor ends the running program, uploads a script and claims the input registers. If one of these is not
 possible, it hangs or reports an unclear error.
@@ -7,6 +7,7 @@ possible, it hangs or reports an unclear error.
 from __future__ import annotations
 
 import asyncio
+import math
 
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.dashboard import DashboardClient
@@ -56,3 +57,11 @@ async def check_robot_is_free(
         raise DeviceLost(f'{error}; or try registers = "{other}" in [arm.ur5]') from None
     finally:
         connection.close()
+
+
+def check_lift(name: str, height_mm: float, speed_mm_s: float) -> None:
+    """Raise CommandRefused if height or speed is not valid."""
+    if not math.isfinite(height_mm):
+        raise CommandRefused(f"{name}: height_mm is {height_mm}; it must be a finite number")
+    if not (math.isfinite(speed_mm_s) and speed_mm_s > 0):
+        raise CommandRefused(f"{name}: speed_mm_s is {speed_mm_s}; it must be above 0")
