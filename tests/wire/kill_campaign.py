@@ -31,6 +31,7 @@ arm_timeout_s = 5
 cycle_timeout_s = 5
 tighten_effect_timeout_s = 10
 stuck_timeout_s = 10
+closing_timeout_s = 30
 """
 """What another program on this machine does to the doubles' time is not what is looked at."""
 
