@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -41,20 +42,6 @@ CLEARER_FINGER, OTHER_FINGER = HoldingScene("wrench", 6000), HoldingScene("wrenc
 """The other finger's contact is faint: often too faint to detect that an image is unchanged."""
 
 
-@dataclass(frozen=True, slots=True)
-class _OnsetTrial:
-    onset: SlipOnset
-    pipeline: BenchPipeline
-
-
-@dataclass(frozen=True, slots=True)
-class _OnsetDelay:
-    """Delay of one slip's detection by each skip, in frames; None if it is not detected without the skip."""
-
-    no_contact: int | None
-    unchanged: int | None
-
-
 def onsets(quick: bool) -> list[SlipOnset]:
     """Return slips after rest, fast and slow, rotations and translations, of every test object."""
     if quick:
@@ -71,11 +58,11 @@ def onsets(quick: bool) -> list[SlipOnset]:
 def measure_skips(
     quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], workers: Workers
 ) -> tuple[SkipResult, ...]:
-    trials = [_OnsetTrial(onset, default) for onset in onsets(quick)]
-    delays = list(each(_delays, trials, Workers(jobs=1) if quick else workers))
+    found_delays = each(partial(_delays, default), onsets(quick), Workers(jobs=1) if quick else workers)
+    empty_delays, unchanged_delays = (list(one) for one in zip(*found_delays, strict=True))
     found = [
-        _no_contact(default, 1 if quick else 6, [one.no_contact for one in delays]),
-        _unchanged(quick, default, held, [one.unchanged for one in delays]),
+        _no_contact(default, 1 if quick else 6, empty_delays),
+        _unchanged(quick, default, held, unchanged_delays),
         _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
     ]
     return tuple(found if quick else [*found, measure_second_finger(default)])
@@ -121,16 +108,20 @@ def _unchanged(
     return SkipResult("unchanged: the last estimate", True, saved, saved_per_frame, error, _longest(delays), how)
 
 
-def _delays(trial: _OnsetTrial) -> _OnsetDelay:
-    grasp = trial.onset.grasp()
+def _delays(default: BenchPipeline, onset: SlipOnset) -> tuple[int | None, int | None]:
+    """Return by how many frames skipping delays the detection: without contact, and unchanged frames.
+
+    None if the slip is not detected without the skip.
+    """
+    grasp = onset.grasp()
     frames = [shot.frame for shot in grasp.shots]
 
     def detection(skips: Skips) -> int | None:
-        return first_detection(replace(trial.pipeline, skips=skips).open(grasp).process, frames)
+        return first_detection(replace(default, skips=skips).open(grasp).process, frames)
 
     skipping = detection(ALL_SKIPS)
-    without = [detection(replace(ALL_SKIPS, no_contact=False)), detection(replace(ALL_SKIPS, unchanged=False))]
-    return _OnsetDelay(*(detection_delay(skipping, one, len(frames)) for one in without))
+    no_contact, unchanged = (detection(replace(ALL_SKIPS, **{name: False})) for name in ("no_contact", "unchanged"))
+    return detection_delay(skipping, no_contact, len(frames)), detection_delay(skipping, unchanged, len(frames))
 
 
 def _longest(delays: list[int | None]) -> int | None:

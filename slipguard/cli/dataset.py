@@ -43,8 +43,8 @@ def dataset() -> None:
 @app.command()
 def render(
     out: Out,
-    count: Annotated[int, typer.Option(help="Number of frames.")],
-    seed: Annotated[int, typer.Option(help="Random seed of the first frame; frame k uses this plus k.")] = 0,
+    count: Annotated[int, typer.Option(min=1, help="Number of frames.")],
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the first frame; frame k uses this plus k.")] = 0,
     split: Annotated[
         Split, typer.Option(help="Training objects, or test objects that no network was trained on.")
     ] = Split.train,
@@ -62,10 +62,10 @@ def render(
 
     Example: `slipguard dataset render --out frames --count 200 --split test --show sheet.png`
     """
-    from slipguard.datasets.dataset_files import check_request, contact_sheet, read_backgrounds, render_dataset
+    from slipguard.datasets.dataset_files import check_new, contact_sheet, read_backgrounds, render_dataset
     from slipguard.tools.parallel import Workers
 
-    check_request(out, count, seed, split.value)
+    check_new(out)
     workers = Workers(jobs, cluster)
     real = read_backgrounds(backgrounds) if backgrounds is not None else None
     with count_bar("rendering", count) as show_count:

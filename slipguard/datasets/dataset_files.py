@@ -38,17 +38,6 @@ def check_new(out_dir: Path) -> None:
         raise InputError(f"{out_dir}: exists and is not an empty folder; choose a new one")
 
 
-def check_request(out_dir: Path, count: int, seed: int, split: str) -> None:
-    """Raise InputError if `render_dataset` would, before it writes anything."""
-    if count < 1:
-        raise InputError(f"{count} frames: the count must be at least 1")
-    if seed < 0:
-        raise InputError(f"seed {seed}: must be 0 or more")
-    if split not in ("train", "test"):
-        raise InputError(f"no split {split!r}; there are: train, test")
-    check_new(out_dir)
-
-
 def render_dataset(
     out_dir: Path,
     count: int,
@@ -67,9 +56,9 @@ def render_dataset(
         progress: called with the number of frames written.
 
     Raises:
-        InputError: see `check_request`, or the folder cannot be written.
+        InputError: the folder is not empty or cannot be written.
     """
-    check_request(out_dir, count, seed, split)
+    check_new(out_dir)
     seeds = range(seed, seed + count)
     edges = [seed, *range((seed // UNIT_FRAMES + 1) * UNIT_FRAMES, seed + count, UNIT_FRAMES), seed + count]
     blocks = [seeds[a - seed : b - seed] for a, b in pairwise(edges)]

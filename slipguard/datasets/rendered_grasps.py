@@ -101,7 +101,7 @@ def render_grasp(object_name: str, seed: int, with_masks: bool = False, mask_eve
     """
     rng = np.random.default_rng(np.random.SeedSequence([seed, *object_name.encode()]))
     item, raster = bench_object(object_name)
-    unit = SensorUnit.default() if seed % 2 == 0 else random_unit(rng)
+    unit = SensorUnit() if seed % 2 == 0 else random_unit(rng)
     camera = GelCamera(unit, seed=int(rng.integers(2**31)))
     background = camera.no_contact()
     camera.set_light(LightChange(1.0, tuple(rng.uniform(-5.0, 5.0, 3)), tuple(rng.uniform(-1.5, 1.5, 3))))

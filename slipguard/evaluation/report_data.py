@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from slipguard.bench.results import PUBLISHED
 from slipguard.evaluation.lift_analysis import LiftResult
 
-PAPER = {"turn_error_mean_deg": 1.854, "turn_error_sd_deg": 0.988, "turn_error_worst_object_deg": 3.0}
+PAPER = {name: PUBLISHED[name] for name in ("turn_error_mean_deg", "turn_error_sd_deg", "turn_error_worst_object_deg")}
 PAPER_DICE, PAPER_IOU = (0.956, 0.013), (0.914, 0.023)
 """Castano-Amoros & Gil, 45 lifts of 9 objects on a real cell, as published."""
 ESTIMATORS = ("fused", "skeleton", "pca", "ellipse", "moments")

@@ -69,7 +69,7 @@ def rotated_grasp(number: int) -> RotatedGrasp:
     rng = np.random.default_rng(np.random.SeedSequence([number, 77]))
     with_axis = [one for one in map(find_object, object_names("train")) if one.axial]
     held = with_axis[number % len(with_axis)]
-    camera = GelCamera(SensorUnit.default(), seed=number)
+    camera = GelCamera(SensorUnit(), seed=number)
     x, y, start = rng.uniform(-2, 2), rng.uniform(-3, 3), rng.uniform(-180, 180)
     depth = held.press_mm * rng.uniform(0.5, 1.0)
     direction = float(rng.choice((-1.0, 1.0)))

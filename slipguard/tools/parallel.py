@@ -1,7 +1,7 @@
 """A parallel map over independent items, on the cores of this machine or on a Dask cluster.
 
-The results are those of a plain loop, in the order of the items. Random numbers must therefore depend on the item
-(`generator`), not on the worker.
+The results are those of a plain loop, in the order of the items. Random numbers must therefore depend on the item,
+not on the worker.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from multiprocessing import resource_tracker
 from typing import Any, Generic, TypeVar
 
 import cv2
-import numpy as np
 
 from slipguard import __version__
 from slipguard.errors import InputError, SlipguardError
@@ -42,11 +41,6 @@ class Workers:
     def __post_init__(self) -> None:
         if self.jobs < 0:
             raise InputError(f"--jobs {self.jobs}: must be at least 1, or 0 for one process per core")
-
-
-def generator(seed: int, item: int) -> np.random.Generator:
-    """Return the random number generator of one item, independent of the worker and of earlier items."""
-    return np.random.default_rng([seed, item])
 
 
 def each(

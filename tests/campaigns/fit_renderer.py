@@ -239,7 +239,7 @@ def fit_and_report(folder: Path, rounds: int, sheet: Path | None) -> None:
     cv2.setNumThreads(1)
     presses = read_presses(folder)
     half = len(presses) // 2
-    unit = SensorUnit.default()
+    unit = SensorUnit()
     poses = tuple(refined_pose(unit, BALL_RADIUS_MM, press) for press in presses[:half])
     fitted = fit(presses[:half], RendererFit(unit, BALL_RADIUS_MM, poses), rounds, print)
     print(fitted.unit, f"ball radius {fitted.radius_mm:.3f} mm", sep="\n")

@@ -18,7 +18,7 @@ FITTED_PRESSES = 15
 def test_rendered_presses_resemble_held_out_real_ones(real_data: Path) -> None:
     presses = read_presses(real_data / "taxim_sphere")[FITTED_PRESSES:]
     assert len(presses) == 15
-    unit = SensorUnit.default()
+    unit = SensorUnit()
     values = []
     for press in presses:
         pose = refined_pose(unit, BALL_RADIUS_MM, press, rounds=6)
@@ -30,7 +30,7 @@ def test_rendered_presses_resemble_held_out_real_ones(real_data: Path) -> None:
 @pytest.mark.real
 def test_swapping_red_and_blue_changes_the_score(real_data: Path) -> None:
     presses = read_presses(real_data / "taxim_sphere")[FITTED_PRESSES::5]
-    unit = SensorUnit.default()
+    unit = SensorUnit()
     for press in presses:
         pose = refined_pose(unit, BALL_RADIUS_MM, press, rounds=6)
         drawn = drawn_difference(unit, BALL_RADIUS_MM, press, pose)

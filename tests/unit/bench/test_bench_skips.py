@@ -42,15 +42,14 @@ def test_the_detection_delay_is_measured_for_both_skips(monkeypatch: pytest.Monk
         return next(detections)
 
     monkeypatch.setattr(skip_values, "first_detection", first_detection)
-    trial = skip_values._OnsetTrial(SlipOnset("key", 7000, 60.0), default())
-    assert skip_values._delays(trial) == skip_values._OnsetDelay(no_contact=2, unchanged=0)
+    assert skip_values._delays(default(), SlipOnset("key", 7000, 60.0)) == (2, 0)
     assert requested == [ALL_SKIPS, Skips(no_contact=False), Skips(unchanged=False)]
-    delays = skip_values._delays(trial)
-    assert delays.no_contact is None
-    assert delays.unchanged is not None
-    assert delays.unchanged > 90
-    worth = skip_values._no_contact(default(), 1, [None, delays.unchanged, 0])
-    assert worth.frames_later == delays.unchanged
+    no_contact, unchanged = skip_values._delays(default(), SlipOnset("key", 7000, 60.0))
+    assert no_contact is None
+    assert unchanged is not None
+    assert unchanged > 90
+    worth = skip_values._no_contact(default(), 1, [None, unchanged, 0])
+    assert worth.frames_later == unchanged
     assert worth.how.endswith("2 slips after rest detected, 1 not detected without skipping either")
     assert skip_values._longest([None]) is None
 

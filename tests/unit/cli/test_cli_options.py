@@ -47,7 +47,7 @@ def test_emulate(emulator: str, tmp_path: Path) -> None:
 
 
 def test_measure_plots_its_results(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    camera = GelCamera(SensorUnit.default(), seed=7)
+    camera = GelCamera(SensorUnit(), seed=7)
     for name, view in (("bg", GelView("", depth_mm=-1.0)), ("bar", GelView("bar", angle_deg=20.0, depth_mm=0.8))):
         cv2.imwrite(str(tmp_path / f"{name}.png"), camera.draw(view))
     plot, masks = tmp_path / "rotation.png", tmp_path / "masks"

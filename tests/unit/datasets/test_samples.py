@@ -141,9 +141,9 @@ def test_the_command_writes_a_data_set(tmp_path: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--count", "0"], "at least 1"),
-        (["--count", "-3"], "at least 1"),
-        (["--count", "2", "--seed", "-1"], "0 or more"),
+        (["--count", "0"], "--count"),
+        (["--count", "-3"], "--count"),
+        (["--count", "2", "--seed", "-1"], "--seed"),
         (["--count", "2", "--backgrounds", "nowhere"], "not a folder"),
     ],
 )

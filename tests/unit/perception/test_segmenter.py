@@ -12,7 +12,7 @@ from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import SensorUnit
 
-CAMERA = GelCamera(SensorUnit.default(), seed=7)
+CAMERA = GelCamera(SensorUnit(), seed=7)
 
 
 TOUCH = GelView("ball", x_mm=0.5, y_mm=1.0, angle_deg=0.0, depth_mm=0.6)

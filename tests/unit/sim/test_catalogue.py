@@ -51,7 +51,7 @@ def test_one_is_heavy_and_one_strongly_curved() -> None:
     heavy, curved = find_object("bar"), find_object("ball")
     assert heavy.mass_kg > 1.2
     assert heavy.com_offset_mm < 60.0
-    camera = GelCamera(SensorUnit.default())
+    camera = GelCamera(SensorUnit())
     image = camera.draw(GelView("ball", x_mm=-1.5, depth_mm=curved.press_mm)).astype(float)
     off = np.abs(image - camera.no_contact())
     assert off.max() > 90  # the signal range of a real DIGIT is about 100 grey levels
@@ -67,7 +67,7 @@ def test_the_forces_needed_by_the_test_set_are_spread() -> None:
 @pytest.mark.parametrize("name", ["bar", "wedge", "wrench", "knife_edge", "key", "screwdriver", "hook"])
 def test_axial_objects_have_a_long_patch(name: str) -> None:
     item = find_object(name)
-    truth = GelCamera(SensorUnit.default()).draw_with_truth(GelView(name, depth_mm=item.press_mm))
+    truth = GelCamera(SensorUnit()).draw_with_truth(GelView(name, depth_mm=item.press_mm))
     rows, columns = np.nonzero(truth.contact)
     spread = np.linalg.eigvalsh(np.cov(rows, columns))
     assert item.axial
@@ -81,7 +81,7 @@ def test_round_objects_say_so(name: str) -> None:
 
 def test_the_handle_is_clipped_by_the_frame() -> None:
     item = find_object("screwdriver")
-    contact = GelCamera(SensorUnit.default()).draw_with_truth(GelView(item.name, depth_mm=item.press_mm)).contact
+    contact = GelCamera(SensorUnit()).draw_with_truth(GelView(item.name, depth_mm=item.press_mm)).contact
     assert contact[:, 0].any()
 
 

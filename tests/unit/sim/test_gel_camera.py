@@ -49,12 +49,12 @@ def test_the_same_seed_gives_the_same_images() -> None:
 
 def test_draw_and_draw_with_truth_give_the_same_image() -> None:
     view = GelView("key", x_mm=1.0, angle_deg=20.0, depth_mm=0.8)
-    unit = SensorUnit.default()
+    unit = SensorUnit()
     assert np.array_equal(GelCamera(unit, seed=2).draw(view), GelCamera(unit, seed=2).draw_with_truth(view).image)
 
 
 def test_without_contact_the_image_is_the_background_and_noise() -> None:
-    camera = GelCamera(SensorUnit.default(), GRAY, seed=1)
+    camera = GelCamera(SensorUnit(), GRAY, seed=1)
     truth = camera.draw_with_truth(replace(NOTHING, object_name="bar"))
     assert not truth.contact.any()
     assert truth.press_mm == 0.0
@@ -117,7 +117,7 @@ def test_a_deeper_press_touches_more() -> None:
 @pytest.mark.parametrize("name", ["bar", "ball", "screwdriver", "pins", "rod"])
 @pytest.mark.parametrize(("x_mm", "y_mm", "rate_deg_s"), [(0.5, -1.0, 0.0), (5.5, 7.0, 0.0), (-2.0, 1.0, 250.0)])
 def test_drawing_a_part_equals_drawing_the_whole(name: str, x_mm: float, y_mm: float, rate_deg_s: float) -> None:
-    imprinter = Imprinter(SensorUnit.default(), GRAY)
+    imprinter = Imprinter(SensorUnit(), GRAY)
     view = GelView(name, x_mm, y_mm, 35.0, find_object(name).press_mm, rate_deg_s=rate_deg_s)
     images = []
     for whole in (False, True):

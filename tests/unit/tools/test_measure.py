@@ -29,7 +29,7 @@ KEYS = {
 }
 
 
-CAMERA = GelCamera(SensorUnit.default(), seed=7)
+CAMERA = GelCamera(SensorUnit(), seed=7)
 
 
 def glow(seed: int) -> np.ndarray:

@@ -10,17 +10,18 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from slipguard.errors import InputError, SlipguardError
 from slipguard.tools import parallel
-from slipguard.tools.parallel import AHEAD_PER_CORE, Workers, each, generator
+from slipguard.tools.parallel import AHEAD_PER_CORE, Workers, each
 
 ITEMS = list(range(12))
 
 
 def drawn(item: int) -> float:
-    return float(generator(7, item).normal())
+    return float(np.random.default_rng([7, item]).normal())
 
 
 def picky(item: int) -> int:
