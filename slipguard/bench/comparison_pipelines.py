@@ -98,7 +98,6 @@ class BackgroundSubtraction:
         return self._rotation.estimate(frame, angle_deg, int(stats[largest, cv2.CC_STAT_AREA]), self._axis)
 
 
-MIN_AREA_PX = 200
 MEAN_RGB, STD_RGB = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 ESTIMATOR_MAP_PX = (120, 160)
 """Width and height of the maps that slipguard's estimators use; larger outputs are reduced to it."""

@@ -86,7 +86,6 @@ class Json(Generic[T]):
 
     def __init__(self, kind: type[T]) -> None:
         self.name = f"slipguard.{kind.__name__}"
-        self._kind = kind
         self._adapter: TypeAdapter[T] = TypeAdapter(kind)
 
     @functools.cached_property

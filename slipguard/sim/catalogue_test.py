@@ -6,16 +6,11 @@ levers are chosen so that each needs 48-75 N per finger.
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 
 from slipguard.sim import shapes as s
 from slipguard.sim.raster import Field, f32
 from slipguard.sim.sim_object import SimObject
-
-MANIFEST_SHA256 = "acc58316d8430c44bdc77d9aa98b8215ca0a0446b27bc65f47cbf16304260958"
-"""`manifest_sha256()` of the published set; figures on other sets are not comparable."""
 
 
 def _bar(u: Field, v: Field) -> Field:
@@ -86,16 +81,3 @@ OBJECTS = (
     SimObject("ball", "test", _ball, 0.8, 147.0, 0.0071, 1.0, 1.45, 44.0, axial=False),
     SimObject("hook", "test", _hook, 0.5, 120.0, 0.003, 0.65, 0.9, 20.0),
 )
-
-
-def manifest_sha256() -> str:
-    """Return the digest of names, shapes and mechanics. Shapes: 0.01 mm steps on a fixed 1 mm grid."""
-    axis = np.arange(-12, 13, dtype=np.float32)
-    u, v = np.meshgrid(axis, -axis)
-    digest = hashlib.sha256()
-    for item in OBJECTS:
-        heights = np.rint(np.maximum(item.height_mm(u, v), -1.5) * 100).astype("<i2")
-        mechanics = (item.mass_kg, item.com_offset_mm, item.inertia_kg_m2, item.friction, item.press_mm, item.width_mm)
-        digest.update(f"{item.name} {item.split} {item.axial} {mechanics!r}\n".encode())
-        digest.update(heights.tobytes())
-    return digest.hexdigest()

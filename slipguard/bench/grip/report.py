@@ -35,14 +35,7 @@ COLORS: dict[ControllerName, str] = {
     "fixed step": "tab:orange",
     "unguarded": "tab:gray",
 }
-NAMES: dict[ControllerName, str] = {
-    "slipguard": "slipguard",
-    "oracle": "oracle",
-    "fixed step": "fixed step",
-    "unguarded": "no guard",
-}
-
-
+NAMES = {who: "no guard" if who == "unguarded" else who for who in COLORS}
 WIDE = 130
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,22 @@ from slipguard.sim.height_raster import height_raster_of
 from slipguard.sim.sensor_unit import SensorUnit
 
 ALL = (*object_names("train"), *object_names("test"))
+MANIFEST_SHA256 = "acc58316d8430c44bdc77d9aa98b8215ca0a0446b27bc65f47cbf16304260958"
+"""Digest of the published set; figures on other sets are not comparable."""
 AXIS = np.arange(-18.0, 18.0, 0.05, dtype=np.float32)
+
+
+def manifest_sha256() -> str:
+    """Return the digest of names, shapes and mechanics. Shapes: 0.01 mm steps on a fixed 1 mm grid."""
+    axis = np.arange(-12, 13, dtype=np.float32)
+    u, v = np.meshgrid(axis, -axis)
+    digest = hashlib.sha256()
+    for item in catalogue_test.OBJECTS:
+        heights = np.rint(np.maximum(item.height_mm(u, v), -1.5) * 100).astype("<i2")
+        mechanics = (item.mass_kg, item.com_offset_mm, item.inertia_kg_m2, item.friction, item.press_mm, item.width_mm)
+        digest.update(f"{item.name} {item.split} {item.axial} {mechanics!r}\n".encode())
+        digest.update(heights.tobytes())
+    return digest.hexdigest()
 
 
 def test_there_are_enough_and_no_name_twice() -> None:
@@ -25,7 +42,7 @@ def test_there_are_enough_and_no_name_twice() -> None:
 
 
 def test_the_test_set_is_the_published_one() -> None:
-    assert catalogue_test.manifest_sha256() == catalogue_test.MANIFEST_SHA256
+    assert manifest_sha256() == MANIFEST_SHA256
 
 
 @pytest.mark.parametrize("name", ALL)
