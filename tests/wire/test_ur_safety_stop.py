@@ -9,7 +9,7 @@ import pytest
 from ur_scene import lifting, lost, own_address, put_away, rests, script_commands, speed_of, under_way, until
 
 from slipguard.devices import Arm, ArmState
-from slipguard.errors import CommandRefused, DeviceError, DeviceTimeout
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.ur5.lift_mode import AFTER_STOP_MM_S, LiftModeArm
 from slipguard_emulators.ur5.emulator import UrEmulator
 
@@ -150,6 +150,28 @@ async def test_what_prevents_control_after_a_stop_is_reported(controller: UrEmul
     assert controller.state()["runtime"] == "playing", "another program is not ended"
     controller.control("panel stop")
     await regained(arm)
+
+
+async def test_a_script_that_ends_later_is_no_second_stop(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault protective_stop")
+    await reported_stop(arm)
+    controller.control("clear")
+    await asyncio.sleep(0.1)
+    await regained(arm)
+    await asyncio.sleep(0.2)
+    controller.control("panel stop")
+    stops, why = 0, ""
+    async with asyncio.timeout(4.0):
+        while not why:
+            try:
+                state = await state_of(arm)
+                stops += state is not None and state.protective_stop
+            except DeviceLost as error:
+                why = str(error)
+            await asyncio.sleep(0.002)
+    assert why
+    assert stops == 0
 
 
 async def test_a_stop_after_close_leaves_no_paused_script(controller: UrEmulator, arm: LiftModeArm) -> None:

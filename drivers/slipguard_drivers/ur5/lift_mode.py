@@ -64,7 +64,8 @@ class LiftModeArm(Arm):
         self._heartbeat: asyncio.Task[None] | None = None
         self._dashboard_stop: asyncio.Task[bool] | None = None
         self._lost: str | None = None
-        self._monitoring_only = False  # a safety stop is active, or the arm is not under control again yet
+        self._monitoring_only = False  # the script is interrupted
+        self._regaining = False  # by a safety stop, and the arm is not under control again yet
         self._after_stop = False  # no motion has reached its goal since a safety stop
         self._first_goal_m = math.nan  # height of that goal
         self._retry_at_s = -math.inf
@@ -85,7 +86,7 @@ class LiftModeArm(Arm):
         self._worker.kill()
         try:
             await self._monitor.open()
-            self._monitoring_only = self._after_stop = self._monitor.newest.safety_stop
+            self._monitoring_only = self._regaining = self._after_stop = self._monitor.newest.safety_stop
             if not self._monitoring_only:
                 await self._take_control()
         except BaseException as error:
@@ -110,7 +111,7 @@ class LiftModeArm(Arm):
         state = self._monitor.arm_state(command_running=self._moving)
         if self._blocked is not None:
             raise DeviceTimeout(self._blocked)
-        if self._monitoring_only and self._after_stop and not state.emergency_stop:
+        if self._regaining and not state.emergency_stop:
             return replace(state, protective_stop=True)
         return state
 
@@ -252,7 +253,8 @@ class LiftModeArm(Arm):
         if not self._script.safety_stopped:
             self._script.forget()
             raise DeviceLost(f"{self._name}: the control script has ended on the controller; open the arm again")
-        self._after_stop, self._first_goal_m, self._retry_at_s = True, math.nan, -math.inf
+        self._regaining = self._after_stop = True
+        self._first_goal_m, self._retry_at_s = math.nan, -math.inf
         self._script.paused()
 
     async def _follow_safety_stop(self, state: RobotState) -> None:
@@ -270,7 +272,8 @@ class LiftModeArm(Arm):
             except DeviceLost as error:
                 self._blocked, self._retry_at_s = str(error), loop.time() + RETRY_S
                 return
-            self._monitoring_only, self._blocked, self._agreed_at_s = False, None, loop.time()
+            self._monitoring_only = self._regaining = False
+            self._blocked, self._agreed_at_s = None, loop.time()
             self._script.controlled()
 
     async def _call(self, request: str, *arguments: object, timeout_s: float) -> Any:
