@@ -302,6 +302,15 @@ def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, An
     return rest | {"driver": chosen, "settings": settings}
 
 
+def file_content(config: Config) -> dict[str, Any]:
+    """Return a configuration with all defaults as `parse_config` reads it; JSON-compatible. Missing values are None."""
+    content = config.model_dump(mode="json", serialize_as_any=True)
+    for name in GROUP_OF:
+        section = content[name]
+        section[section["driver"]] = section.pop("settings")
+    return content
+
+
 def sim_config() -> Config:
     """Return the configuration of `slipguard run --sim` without a file: simulated drivers and all defaults."""
     return parse_config({}, where="--sim", sim=True)

@@ -107,7 +107,11 @@ def run(arguments: list[str] | None = None, app: typer.Typer = app, program: str
     if line and "--json" in (sys.argv[1:] if arguments is None else arguments):
         print(jsonlib.dumps({"error": line}), flush=True)
     if line:
-        print(f"slipguard: {line}", file=sys.stderr)
+        from slipguard.daemon.journal import stderr_is_journal
+
+        # The journal reads a priority at the start of a line (sd-daemon(3)); 3 is "error".
+        priority = "<3>" if stderr_is_journal() else ""
+        print(f"{priority}slipguard: {line}", file=sys.stderr)
     return code
 
 

@@ -6,6 +6,7 @@ import asyncio
 import faulthandler
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,8 +45,13 @@ def run(
     from slipguard.daemon import log_setup as log
     from slipguard.daemon import run as root
     from slipguard.daemon.lifecycle import exit_if_stuck
+    from slipguard.daemon.store.last_config import last_config_path, read_or_last
 
-    settings = sim_config() if sim and config == USUAL_FILE and not config.exists() else read_config(config, sim=sim)
+    problem = None
+    if sim:
+        settings = sim_config() if config == USUAL_FILE and not config.exists() else read_config(config, sim=True)
+    else:
+        settings, problem = read_or_last(lambda: _read_checked(config), last_config_path())
     log.configure(json_lines=log_json)
     log.set_level(settings.log.level)
     if sim:
@@ -53,7 +59,8 @@ def run(
 
         daemon = run_simulated_cell(settings, bind_api, exit_if_stuck)
     else:
-        daemon = root.run(settings, bind_api, read_config=lambda: read_config(config), on_stop=exit_if_stuck)
+        reread = partial(_read_checked, config)
+        daemon = root.run(settings, bind_api, read_config=reread, on_stop=exit_if_stuck, config_problem=problem)
     if sys.__stderr__ is not None:
         faulthandler.enable(sys.__stderr__)  # shows where the loop hung if the systemd watchdog ends the daemon
     with default_interrupts():
@@ -86,14 +93,10 @@ def check(
     from rich.console import Console
     from rich.table import Table
 
-    from slipguard.config import read_config
     from slipguard.errors import ConfigError, ModelError
     from slipguard.perception.contact.segmenter import Segmenter
 
-    settings = read_config(config)
-    problem = next(_find_problems(settings), None)
-    if problem is not None:
-        raise ConfigError(f"{config}: {problem}")
+    settings = _read_checked(config)
     try:
         segmenter = Segmenter(settings.perception.model)
     except ModelError as error:
@@ -121,6 +124,18 @@ def check(
     width, height = segmenter.input_size
     console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
     console.print("the configuration is valid")
+
+
+def _read_checked(path: Path) -> Config:
+    """Return the configuration of a file. Raises ConfigError, also for problems that would appear only later."""
+    from slipguard.config import read_config
+    from slipguard.errors import ConfigError
+
+    config = read_config(path)
+    problem = next(_find_problems(config), None)
+    if problem is not None:
+        raise ConfigError(f"{path}: {problem}")
+    return config
 
 
 def _find_problems(config: Config) -> Iterator[str]:

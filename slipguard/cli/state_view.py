@@ -50,6 +50,8 @@ def _grasp_rows(state: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if fault:
         yield "fault", f"[red]{escape(fault['code'])}[/]: {escape(fault['observed'])}"
         yield "what to do", escape(fault["what_to_do"])
+    if state.get("config_problem"):
+        yield "config", f"[red]{escape(state['config_problem'])}[/]"
     yield "rotation", escape(_rotation_text(state))
     yield "grip", escape(_grip_text(state))
     arm = state.get("arm")

@@ -16,7 +16,7 @@ from typing import Any
 
 import structlog
 
-from slipguard.config import GROUP_OF, Config
+from slipguard.config import Config, file_content
 from slipguard.control.state import Phase
 from slipguard.daemon import log_setup
 from slipguard.daemon.lifecycle import notify_systemd
@@ -53,17 +53,9 @@ class CurrentGrip:
 
 def find_changes(old: Config, new: Config) -> list[ConfigChange]:
     """Return every key whose value differs, spelled as in the file; a missing value is None."""
-    before, after = dict(_flatten(old)), dict(_flatten(new))
+    before, after = dict(_leaves(file_content(old), "")), dict(_leaves(file_content(new), ""))
     keys = [*before, *(key for key in after if key not in before)]
     return [ConfigChange(key, before.get(key), after.get(key)) for key in keys if before.get(key) != after.get(key)]
-
-
-def _flatten(config: Config) -> Iterator[tuple[str, object]]:
-    whole = config.model_dump(mode="json", serialize_as_any=True)
-    for name in GROUP_OF:
-        section = whole[name]
-        section[section["driver"]] = section.pop("settings")
-    yield from _leaves(whole, "")
 
 
 def _leaves(table: Mapping[str, Any], path: str) -> Iterator[tuple[str, object]]:
@@ -132,6 +124,7 @@ class Reloader:
         if refused:
             self._refuse("; ".join(refused))
             return False
+        service.config_problem = None
         if not changes:
             service.event_log.info("configuration reloaded: no changes")
             return True

@@ -30,6 +30,7 @@ from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.service import FINGERS, Controller, Service
 from slipguard.daemon.reload import Reloader
 from slipguard.daemon.store.background_images import BackgroundImage
+from slipguard.daemon.store.last_config import ConfigSaver, last_config_path
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.last_reference import REFERENCES, ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.daemon.store.recording import make_recorder, record
@@ -146,6 +147,7 @@ async def run(
     recorder: Callable[[Service, Path], Recorder] = make_recorder,
     read_config: Callable[[], Config] | None = None,
     on_stop: Callable[[], object] = lambda: None,
+    config_problem: str | None = None,
 ) -> None:
     """Guard until SIGINT or SIGTERM and serve the API; the grip stays as it is at the end.
 
@@ -158,9 +160,13 @@ async def run(
         recorder: Makes the recorder of a service.
         read_config: Reads the configuration again on SIGHUP; None: SIGHUP ends the process.
         on_stop: Called in the loop when a signal asks the daemon to stop.
+        config_problem: Why `config` is not that of the file; shown until a reload succeeds.
     """
     service = build(config, world=world)
     _add_savers(service, StateDir(config.state.directory))
+    service.config_problem = config_problem
+    if config_problem is not None:
+        service.event_log.warning(config_problem)
     gels = GelMonitor(service)
     handlers = RequestHandlers(service, gels)
     serve_api = bind_api(config)  # before any device is opened: a second daemon must not touch the first one's devices
@@ -205,11 +211,14 @@ async def run(
 
 
 def _add_savers(service: Service, state_dir: StateDir) -> None:
-    """Keep the grip, the fault and the fingers' references on the disk, for a restart."""
+    """Keep the grip, the fault, the fingers' references and the configuration on the disk, for a restart."""
     info, warning = service.event_log.info, service.event_log.warning
     service.observers.append(LastGraspSaver(state_dir, info, warning).add_decision)
     references = ReferenceStore(state_dir.path / REFERENCES)
     service.observers.append(ReferenceSaver(references, service.fingers, info, warning).add_decision)
+    config_path = last_config_path()
+    if config_path is not None:
+        service.observers.append(ConfigSaver(service, config_path, info, warning).add_decision)
 
 
 async def _record(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:

@@ -42,6 +42,8 @@ def check_daemon(samples: DaemonSamples) -> Iterator[CheckResult]:
     fault = now.get("fault")
     if fault is not None:
         yield problem("fault", f"{fault['code']}: {fault['observed']}", fault["what_to_do"])
+    if now.get("config_problem"):
+        yield problem("configuration", now["config_problem"], "correct the file, then `systemctl reload slipguard`")
     late = now["deadlines_missed"] - samples.before["deadlines_missed"]
     if late:
         yield note("loop", f"{late} cycles late in {samples.apart_s:.0f} s", "see the check of the processor")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 import socket
@@ -17,6 +18,7 @@ from slipguard.cli.run import bind_api
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon import run as root
+from slipguard.daemon.api.snapshot import snapshot
 from slipguard.daemon.reload import CurrentGrip, Reloader, current_grip, find_changes, refusal_reason
 from slipguard.errors import ConfigError
 from slipguard.sim.world import World, WorldSettings
@@ -165,19 +167,28 @@ def test_systemd_is_notified_of_the_reload_and_its_end(tmp_path: Path, monkeypat
     assert messages[1] == "READY=1\nSTATUS=idle"
 
 
-def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> None:
-    """The daemon as it runs, but for its devices: the signal, the file's new words, the recording by each."""
+def test_sighup_reads_the_file_begins_a_new_recording_and_keeps_the_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The daemon as it runs, except for its devices."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
     asked = {"state": {"directory": str(tmp_path)}, "recording": {"ring_s": 60}}
     newer = asked | {"guard": {"force_max_n": 110.0}}
     made: list[float] = []
     reloaded = asyncio.Event()
 
+    async def kept(force_max_n: float) -> None:
+        path = tmp_path / "last_config.json"
+        while not path.exists() or json.loads(path.read_bytes())["guard"]["force_max_n"] != force_max_n:  # noqa: ASYNC110 - a file
+            await asyncio.sleep(0.01)
+
     async def extra_task_body(service: Any) -> None:
-        running = asyncio.Event()
-        service.observers.append(lambda decision: running.set())
-        await running.wait()
+        await kept(130.0)
+        assert snapshot(service, {})["config_problem"] == "the file is not valid"
         os.kill(os.getpid(), signal.SIGHUP)
         await reloaded.wait()
+        await kept(110.0)
+        assert snapshot(service, {})["config_problem"] is None
         os.kill(os.getpid(), signal.SIGTERM)
         await asyncio.sleep(60.0)
 
@@ -196,6 +207,7 @@ def test_sighup_reads_the_file_and_begins_a_new_recording(tmp_path: Path) -> Non
                 extra_task=extra_task_body,
                 recorder=recorder,
                 read_config=lambda: config(**newer),
+                config_problem="the file is not valid",
             )
 
     asyncio.run(main())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
 import signal
@@ -91,24 +90,14 @@ class Container:
         """A property of the unit."""
         return self.run("systemctl", "show", "--value", f"--property={name}", UNIT, check=True).stdout.strip()
 
-    def written_by_itself(self) -> dict[int, list[str]]:
-        """What the service's own processes wrote into the journal, line by line as it is, by process number."""
-        own = (f"_SYSTEMD_UNIT={UNIT}", "_TRANSPORT=stdout")  # what systemd says of it is of another unit
-        text = self.run("journalctl", "--quiet", "--output=json", "--all", "--no-pager", *own, check=True).stdout
-        lines: dict[int, list[str]] = {}
-        for entry in map(json.loads, text.splitlines()):
+    def journal(self, *matches: str) -> list[dict[str, Any]]:
+        """Entries of the service's own processes; what systemd says of it is of another unit."""
+        words = ("journalctl", "--quiet", "--output=json", "--all", "--no-pager", f"_SYSTEMD_UNIT={UNIT}", *matches)
+        entries = [json.loads(line) for line in self.run(*words, check=True).stdout.splitlines()]
+        for entry in entries:
             message = entry["MESSAGE"]  # a list of bytes where it is not plain text
-            plain = message if isinstance(message, str) else bytes(message).decode(errors="replace")
-            lines.setdefault(int(entry["_PID"]), []).append(plain)
-        return lines
-
-    def journal(self) -> list[dict[str, Any]]:
-        """The service's events, without its other output such as the stack of each thread of an aborted one."""
-        lines = []
-        for line in itertools.chain.from_iterable(self.written_by_itself().values()):
-            with contextlib.suppress(ValueError):
-                lines.append(json.loads(line))
-        return [line for line in lines if isinstance(line, dict)]
+            entry["MESSAGE"] = message if isinstance(message, str) else bytes(message).decode(errors="replace")
+        return entries
 
     def state(self) -> dict[str, Any]:
         """What the daemon's API says from outside, at less cost than a program; empty where none answers."""

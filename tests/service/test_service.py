@@ -78,7 +78,7 @@ def ask(container: Container, *words: str) -> None:
 
 
 def said(container: Container, words: str) -> bool:
-    return any(words in str(line.get("event")) for line in container.journal())
+    return any(words in entry["MESSAGE"] for entry in container.journal())
 
 
 def held(state: dict[str, Any]) -> bool:
@@ -132,7 +132,8 @@ def test_the_service_grips_and_is_confined(
     assert {line[1] for line in threads if line[2] == line[3]} == {f"{FIRST}"}
     assert len([line for line in threads if line[1] == f"{SECOND}"]) >= 3, "both fingers and the recorder"
     assert {line[0] for line in running if "slipguard.web" in line[5]} == {"B"}
-    assert container.run("stat", "--format=%U %a", "/run/slipguard/slipguard.sock").stdout.split()[0] != "root"
+    owner, group, mode = container.run("stat", "--format=%U %G %a", "/run/slipguard/slipguard.sock").stdout.split()
+    assert (owner != "root", group, mode) == (True, "dialout", "660")
 
 
 def test_the_service_reloads_a_changed_configuration(container: Container, config: Path) -> None:
@@ -147,11 +148,30 @@ def test_the_service_reloads_a_changed_configuration(container: Container, confi
     container.wait_for(held, "it does not hold any more")
 
 
-@pytest.mark.parametrize(("signal", "restarts"), [("STOP", "1"), ("KILL", "2")])
+def test_a_bad_file_fails_the_reload_and_the_service_starts_with_its_last_configuration(
+    container: Container, config: Path
+) -> None:
+    good = config.read_text()
+    config.write_text(good.replace("force_max_n", "forse_max_n"))
+    assert container.run("systemctl", "reload", UNIT).returncode != 0
+    assert [entry["PRIORITY"] for entry in container.journal() if "forse_max_n" in entry["MESSAGE"]] == ["3"]
+    container.run("kill", "-KILL", container.shown("MainPID"), check=True)
+    until(lambda: container.shown("NRestarts") == "1", "not restarted", container.journal)
+    state = container.wait_for(held, "it does not take the object over again")
+    assert "forse_max_n: no such key" in state["config_problem"]
+    assert state["limits"]["force_max_n"] == 120
+    assert "forse_max_n" in container.run(PROGRAM, "ctl", "state").stdout
+    config.write_text(good)
+    container.systemctl("reload")
+    container.wait_for(lambda state: state["config_problem"] is None, "the corrected file is not used")
+
+
+@pytest.mark.parametrize("signal", ["STOP", "KILL"])
 def test_a_hung_or_killed_service_is_restarted_and_the_grip_stays(
-    container: Container, cell: Callable[[], list[dict[str, Any]]], signal: str, restarts: str
+    container: Container, cell: Callable[[], list[dict[str, Any]]], signal: str
 ) -> None:
     force_n, main = cell()[-1]["force"], container.shown("MainPID")
+    restarts = str(int(container.shown("NRestarts")) + 1)
     assert int(main) > 1
     container.run("kill", f"-{signal}", main, check=True)
     until(lambda: container.shown("NRestarts") == restarts, "not restarted", container.journal)
@@ -177,25 +197,18 @@ def test_a_stopped_service_keeps_the_grip(container: Container, cell: Callable[[
     assert said(container, "the grip stays as it is")
 
 
-def test_the_journal_has_json_lines_with_a_level_and_a_time(container: Container) -> None:
-    """All that the service ever wrote, but for what Python says of the one that the watchdog aborted."""
-    written = container.written_by_itself()
-    aborted = [number for number, lines in written.items() if any("Fatal Python error" in line for line in lines)]
-    assert len(aborted) == 1
-    for number in aborted:
-        lines = written[number]
-        written[number] = lines[: next(at for at, line in enumerate(lines) if "Fatal Python error" in line)]
-    every = [line for lines in written.values() for line in lines]
-    assert len(every) > 10
-    assert [line for line in every if not is_event(line)] == []
-
-
-def is_event(line: str) -> bool:
-    try:
-        event = json.loads(line)
-    except ValueError:
-        return False
-    return isinstance(event, dict) and {"event", "level", "timestamp"} <= set(event)
+def test_the_journal_has_priorities_text_and_fields(container: Container) -> None:
+    """All that the service ever wrote, except Python's stacks of the one that the watchdog aborted."""
+    native = container.journal("_TRANSPORT=journal")
+    assert len(native) > 10
+    assert {entry["PRIORITY"] for entry in native} <= {"3", "4", "6"}
+    assert all(entry["SLIPGUARD_EVENT"] and entry["SYSLOG_IDENTIFIER"] == "slipguard" for entry in native)
+    assert not [entry["MESSAGE"] for entry in native if entry["MESSAGE"].startswith("{")]
+    plain = [entry["MESSAGE"] for entry in container.journal("_TRANSPORT=stdout") if entry["PRIORITY"] == "6"]
+    stacks = re.compile(r"Fatal Python error|(Current t|T)hread 0x|  File |  \.\.\.|Extension modules:|$")
+    assert [line for line in plain if not stacks.match(line)] == []
+    warnings = container.run("journalctl", "--quiet", "--no-pager", "-u", UNIT, "-p", "warning").stdout
+    assert "forse_max_n: no such key" in warnings
 
 
 def test_the_service_writes_to_its_own_folders_only(container: Container, before: dict[str, tuple[int, int]]) -> None:

@@ -26,6 +26,7 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         "version": __version__,
         "now_s": observation.now_s if observation is not None else None,
         "mode": guard.mode,
+        "config_problem": service.config_problem,
         "phase": state.phase.value,
         "guarding": state.guarding,
         "slipping": state.held.slip is not None,
@@ -81,7 +82,7 @@ def health_problem(service: Service) -> str | None:
     if fault is not None:
         return str(fault)
     waiting = service.waiting_for
-    return f"not ready: {'; '.join(waiting)}" if waiting else None
+    return f"not ready: {'; '.join(waiting)}" if waiting else service.config_problem
 
 
 def _latency(times_s: Sequence[float]) -> dict[str, float] | None:

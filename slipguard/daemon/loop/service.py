@@ -78,6 +78,8 @@ class Service:
         memory: ControlState | None = None,
     ) -> None:
         self.config = config
+        self.config_problem: str | None = None
+        """Why the configuration file is not in use."""
         self.store = store
         self.latency_stats = LatencyStats(FINGERS)
         self.observers: list[Callable[[Decision], None]] = [self.latency_stats.add_decision]
