@@ -79,7 +79,9 @@ def _one_at_a_time(folder: Path) -> Iterator[None]:
 def _set_permissions(path: Path) -> None:
     """Admit `SOCKET_GROUP` if it exists and has this process as a member, else the owner only."""
     try:
-        os.chown(path, -1, grp.getgrnam(SOCKET_GROUP).gr_gid)
+        group = grp.getgrnam(SOCKET_GROUP).gr_gid
+        if path.stat().st_gid != group:  # the service may not change the group, but already has this one
+            os.chown(path, -1, group)
         path.chmod(0o660)
     except (KeyError, PermissionError):
         path.chmod(0o600)

@@ -29,7 +29,10 @@ def test_it_starts_the_daemon_and_watches_over_it() -> None:
     assert unit["Type"] == ["notify"]
     assert float(unit["WatchdogSec"][0]) > 0
     assert unit["Restart"] == ["on-failure"]
-    assert unit["ExecReload"] == ["/bin/kill -HUP $MAINPID"]
+    checked, reloaded = unit["ExecReload"]
+    assert "slipguard check --config /etc/slipguard/config.toml" in checked
+    assert "chrt --other 0" in checked, "the check must not compete with the control loop"
+    assert reloaded == "/bin/kill -HUP $MAINPID"
     assert "network-online" not in "".join(unit["After"])  # the grip is not left alone for an arm that is late
     assert (unit["CPUSchedulingPolicy"], unit["CPUSchedulingPriority"]) == (["rr"], [f"{FIRST}"])
     assert "ORT_DISABLE_TELEMETRY=1" in unit["Environment"]
@@ -39,7 +42,7 @@ def test_it_may_use_cameras_and_serial_ports_and_no_other_device() -> None:
     unit = settings()
     assert unit["DevicePolicy"] == ["closed"]
     assert unit["DeviceAllow"] == ["char-video4linux rw", "char-ttyUSB rw", "char-ttyACM rw"]
-    assert unit["SupplementaryGroups"] == ["video dialout"]
+    assert (unit["Group"], unit["SupplementaryGroups"]) == (["dialout"], ["video"])
 
 
 @pytest.mark.extras("systemd-analyze")

@@ -29,11 +29,11 @@ TOOLS = {
     "mke2fs": "e2fsprogs",
     "dpkg-deb": "dpkg",
 }
-PACKAGES = ("udev", "kmod", "mount", "python3-minimal", "libpython3-stdlib", "iproute2")
+PACKAGES = ("systemd", "udev", "kmod", "mount", "python3-minimal", "libpython3-stdlib", "iproute2")
 WHEELS = ("numpy", "opencv-contrib-python-headless", "pydantic", "pytest", "pytest-asyncio")
 """All that the driver and its contract suite import; in the versions of this environment."""
 BOOT_MODULES = ("virtio_pci", "virtio_blk", "ext4", "crc32c_generic")
-MODULES = ("vivid", "uvcvideo", "vhci-hcd", "9pnet_virtio", "9p", "virtio_console", "virtio_rng")
+MODULES = ("vivid", "uvcvideo", "vhci-hcd", "ftdi_sio", "cdc-acm", "9pnet_virtio", "9p", "virtio_console", "virtio_rng")
 PLATFORMS = ("manylinux2014_x86_64", "manylinux_2_17_x86_64", "manylinux_2_27_x86_64", "manylinux_2_28_x86_64")
 SPARE_MIB = 64
 HERE = Path(__file__).resolve().parent
