@@ -26,7 +26,8 @@ def doctor(
 ) -> None:
     """Check every device, link and permission, and say what to do. Nothing moves.
 
-    Uses a running daemon; opens the devices itself only if none runs. Exits 1 if there is a problem.
+    Uses a running daemon; opens the devices itself only if none runs: as root with the rights of the installed service.
+    Exits 1 if there is a problem.
 
     Example: `slipguard doctor --config config.toml`
     """
@@ -37,15 +38,25 @@ def doctor(
 
     from slipguard.config import read_config
     from slipguard.daemon import log_setup as log
-    from slipguard.daemon.api.paths import running_socket
+    from slipguard.daemon.api.paths import is_listening, running_socket
+    from slipguard.doctor import as_service
     from slipguard.doctor.run_checks import run_checks
+    from slipguard.errors import SlipguardError
 
     settings = read_config(config)
     log.configure(level=logging.CRITICAL)
     progress = Console(stderr=True, quiet=not Console(stderr=True).is_terminal)
     with progress.status("checking …") as status, default_interrupts():
         at = socket or running_socket(settings)
-        checks = asyncio.run(run_checks(settings, at, lambda subject: status.update(f"checking {subject} …")))
+        checks: list[SubjectCheck] = []
+        try:
+            if as_service.is_possible(config) and not is_listening(at):
+                checks = as_service.run_checks_as_service(config)
+        except SlipguardError as error:
+            checks = [as_service.not_as_service(str(error))]
+        if len(checks) < 2:
+            report = asyncio.run(run_checks(settings, at, lambda subject: status.update(f"checking {subject} …")))
+            checks += report
     problems = sum(one.result.status == "problem" for one in checks)
     if json:
         print(jsonlib.dumps({"problems": problems, "checks": [_as_dict(one) for one in checks]}))

@@ -197,6 +197,24 @@ def test_a_stopped_service_keeps_the_grip(container: Container, cell: Callable[[
     assert said(container, "the grip stays as it is")
 
 
+def test_the_doctor_looks_through_the_services_eyes(
+    container: Container, config: Path, cell: Callable[[], list[dict[str, Any]]]
+) -> None:
+    """Root could open all of them."""
+    port = container.run("readlink", "-f", str(CELL.gripper)).stdout.strip()
+    words = (PROGRAM, "doctor", "--config", "/etc/slipguard/config.toml", "--json")
+
+    def found() -> dict[tuple[str, str], str]:
+        checks = json.loads(container.run(*words).stdout)["checks"]
+        assert not [one for one in checks if one["check"] == "rights"], checks
+        return {(one["subject"], one["status"]): one["observed"] for one in checks}
+
+    assert ("gripper", "problem") not in found()
+    container.run("chgrp", "root", port, check=True)
+    assert "access is denied" in found()["gripper", "problem"]
+    container.run("chgrp", "dialout", port, check=True)
+
+
 def test_the_journal_has_priorities_text_and_fields(container: Container) -> None:
     """All that the service ever wrote, except Python's stacks of the one that the watchdog aborted."""
     native = container.journal("_TRANSPORT=journal")

@@ -39,7 +39,7 @@ def running_socket(config: Config | None = None, environ: Mapping[str, str] = os
     if config is not None and config.api.socket is not None:
         return config.api.socket
     own = socket_path(config) if config is not None else StateDir(environ=environ).runtime_path / SOCKET_NAME
-    return next((path for path in (own, SYSTEM_FOLDER / SOCKET_NAME) if _is_listening(path)), own)
+    return next((path for path in (own, SYSTEM_FOLDER / SOCKET_NAME) if is_listening(path)), own)
 
 
 def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = os.environ) -> str | None:
@@ -64,7 +64,8 @@ def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = o
     return None
 
 
-def _is_listening(path: Path) -> bool:
+def is_listening(path: Path) -> bool:
+    """Return whether a daemon accepts connections at a socket, or may do so for other users."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(CONNECT_TIMEOUT_S)
         try:
