@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import select
+from collections import deque
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -29,11 +31,40 @@ TOO_MANY_HEAD = (
 _DISCONNECTED_KEY = "slipguard.disconnected"
 
 
-class BoundedHttpProtocol(H11Protocol):
-    """uvicorn's HTTP/1.1 with a request timeout, a limit of the headers' size and a limit of connections."""
+class Pace:
+    """Handles what connections receive one at a time, each in its own cycle of the event loop.
 
-    def __init__(self, *arguments: Any, **named: Any) -> None:
+    Otherwise one cycle would serve all connections of hostile clients, and a command over the Unix socket, which takes
+    several cycles, would wait for each.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[Callable[[], None]] = deque()
+
+    def add(self, loop: asyncio.AbstractEventLoop, handle: Callable[[], None]) -> None:
+        """Have `handle` called after those that already wait."""
+        self._waiting.append(handle)
+        if len(self._waiting) == 1:
+            loop.call_soon(self._handle_next, loop)
+
+    def _handle_next(self, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            self._waiting[0]()
+        finally:
+            self._waiting.popleft()
+            if self._waiting:
+                loop.call_soon(self._handle_next, loop)
+
+
+class BoundedHttpProtocol(H11Protocol):
+    """uvicorn's HTTP/1.1 with a request timeout, a limit of the headers' size and a limit of connections.
+
+    pace: shared by the connections of a server; None: what is received is handled at once.
+    """
+
+    def __init__(self, *arguments: Any, pace: Pace | None = None, **named: Any) -> None:
         super().__init__(*arguments, **named)
+        self._pace = pace
         self._timeout: asyncio.TimerHandle | None = None
         self._received_at_s = 0.0
 
@@ -49,11 +80,20 @@ class BoundedHttpProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._received_at_s = self.loop.time()
+        if self._pace is None:
+            self._handle(data)
+        else:
+            self.transport.pause_reading()
+            self._pace.add(self.loop, partial(self._handle, data))
+
+    def _handle(self, data: bytes) -> None:
         for start in range(0, len(data), PIECE_BYTES):
             if self.transport.is_closing() or self.transport.get_protocol() is not self:
                 break  # refused, or now a WebSocket, which may send nothing before our response
             super().data_received(data[start : start + PIECE_BYTES])
         upgraded = self.transport.get_protocol() is not self
+        if self._pace is not None and (upgraded or not self.flow.read_paused):
+            self.transport.resume_reading()
         if upgraded or self._responding:
             self._cancel_timeout()
         elif self._timeout is None and not self.transport.is_closing():

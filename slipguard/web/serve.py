@@ -6,18 +6,24 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
+from functools import partial
+from typing import cast
 
 import uvicorn
 from starlette.types import ASGIApp
 
 from slipguard.web.access import AccessMiddleware
 from slipguard.web.app import make_app
-from slipguard.web.connections import HEADERS_MAX_BYTES, BoundedHttpProtocol
+from slipguard.web.connections import HEADERS_MAX_BYTES, BoundedHttpProtocol, Pace
 from slipguard.web.middleware import ApiMiddleware, without_cookies
 from slipguard.web.route_context import RouteContext
 
 SHUTDOWN_TIMEOUT_S = 1
 """Time for requests in progress when the daemon stops."""
+ACCEPTED_MAX = 2
+"""Connections that one cycle of the event loop accepts."""
+WAITING_MAX = 128
+"""Connections that wait to be accepted."""
 KEEP_ALIVE_S = 5
 """An idle connection is closed after this time."""
 WEBSOCKET_MESSAGE_MAX_BYTES = 4096
@@ -27,6 +33,12 @@ WEBSOCKET_MESSAGE_MAX_BYTES = 4096
 class _Server(uvicorn.Server):
     """uvicorn without its own signal handlers: the daemon handles signals."""
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, with room for more connections than asyncio accepts at a time; it takes both from one number."""
+        await super().startup(sockets)
+        for listening in sockets or ():
+            listening.listen(WAITING_MAX)
+
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
@@ -35,10 +47,10 @@ class _Server(uvicorn.Server):
 async def serve(context: RouteContext, unix: socket.socket, tcp: socket.socket | None = None) -> None:
     """Serve until cancelled. tcp: served only if the context has an `access`; commands need its token there."""
     app = without_cookies(make_app(context))
-    servers = [(_make_server(ApiMiddleware(app)), unix)]
+    servers = [(_make_server(ApiMiddleware(app), None), unix)]
     if tcp is not None and context.access is not None:
         protected = AccessMiddleware(app, context.access)
-        servers.append((_make_server(ApiMiddleware(protected, context.access.is_known)), tcp))
+        servers.append((_make_server(ApiMiddleware(protected, context.access.is_known), Pace()), tcp))
     live = asyncio.create_task(context.run(), name="web: live")
     serving = [
         asyncio.create_task(server.serve(sockets=[listening]), name="web: http") for server, listening in servers
@@ -55,11 +67,12 @@ async def serve(context: RouteContext, unix: socket.socket, tcp: socket.socket |
         await asyncio.gather(live, return_exceptions=True)
 
 
-def _make_server(app: ASGIApp) -> _Server:
+def _make_server(app: ASGIApp, pace: Pace | None) -> _Server:
     return _Server(
         uvicorn.Config(
             app,
-            http=BoundedHttpProtocol,
+            http=cast(type[asyncio.Protocol], partial(BoundedHttpProtocol, pace=pace)),
+            backlog=ACCEPTED_MAX,
             h11_max_incomplete_event_size=HEADERS_MAX_BYTES,
             ws="websockets-sansio",
             ws_max_size=WEBSOCKET_MESSAGE_MAX_BYTES,

@@ -12,13 +12,14 @@ import typer
 from slipguard.cli import app as product
 from tests.campaigns.api_load import api_load
 from tests.campaigns.faults.command import faults
+from tests.campaigns.hostile_clients import hostile_clients
 from tests.campaigns.paper_networks.recipe import Arch, RecipeName
 from tests.campaigns.recording_cost import recording_cost
 from tests.campaigns.soak.command import soak
 from tests.campaigns.stress_list import stress_list
 
 app = typer.Typer(name="campaigns", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-for campaign in (soak, faults, api_load, recording_cost, stress_list):
+for campaign in (soak, faults, api_load, recording_cost, stress_list, hostile_clients):
     app.command()(campaign)
 Model = Annotated[Path | None, typer.Option(help="Segmentation network (.onnx); default: the shipped one.")]
 

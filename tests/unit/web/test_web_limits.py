@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import json
 from pathlib import Path
 
@@ -231,3 +232,32 @@ async def test_the_host_is_checked_before_any_credentials(monkeypatch: pytest.Mo
         assert (refused.status_code, inspected) == (403, [])
         await http.get(url)
         assert inspected
+
+
+async def test_each_cycle_of_the_event_loop_handles_one_connection() -> None:
+    pace, handled, loop = connections.Pace(), list[int](), asyncio.get_running_loop()
+
+    def handle(number: int) -> None:
+        handled.append(number)
+        if number == 1:
+            raise ValueError("a broken request")
+
+    errors: list[object] = []
+    loop.set_exception_handler(lambda loop, context: errors.append(context["exception"]))
+    for number in range(4):
+        pace.add(loop, functools.partial(handle, number))
+    for number in range(4):
+        await asyncio.sleep(0)
+        assert handled == list(range(number + 1))
+    assert [str(error) for error in errors] == ["a broken request"]
+    pace.add(loop, functools.partial(handle, 9))
+    await asyncio.sleep(0)
+    assert handled[-1] == 9
+
+
+async def test_a_large_body_of_a_paced_connection_arrives_completely(tmp_path: Path) -> None:
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
+        headers = {"authorization": f"Bearer {access._token}"}
+        for size, status in ((commands.BODY_MAX_BYTES, 200), (3_000_000, 413)):
+            response = await http.post(f"http://127.0.0.1:{port}/clear", headers=headers, content=b"{}".ljust(size))
+            assert response.status_code == status
