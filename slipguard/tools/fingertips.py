@@ -11,10 +11,12 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 from slipguard.daemon.api.requests import DaemonRequest, MoveJawsRequest, ReleaseRequest
+from slipguard.devices import ACTIVATION_HINT
 from slipguard.errors import CommandRefused, DeviceTimeout
 
 State = Mapping[str, Any]
 
+DEVICES = ("left", "right", "gripper")
 FORCE_N = 1.0
 """Raised by the daemon to the lowest force of the gripper."""
 COARSE_MM = 2.0
@@ -93,10 +95,13 @@ class FingertipMeasurement:
 
 def check_ready(state: State) -> None:
     """Raise CommandRefused unless the jaws are open and empty, and both fingers see that."""
-    if state["waiting_for"]:
-        raise CommandRefused(f"not ready: {'; '.join(state['waiting_for'])}")
-    if state["phase"] != "idle" or state["gripper"]["holding"]:
+    if state["phase"] != "idle":
         raise CommandRefused(f"the jaws must be empty, and the phase is {state['phase']}; release first")
+    for name in DEVICES:
+        if state["devices"][name]["state"] != "ready":
+            raise CommandRefused(f"{name} is not ready: {state['devices'][name]['reason']}")
+    if not state["gripper"]["active"]:
+        raise CommandRefused(f"the gripper is not activated; {ACTIVATION_HINT}")
     if state["gripper"]["closed_on_nothing"] or _touches(state):
         raise CommandRefused(
             "the jaws are closed or a finger sees contact; open the jaws, and calibrate if they are open"

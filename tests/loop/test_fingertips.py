@@ -93,7 +93,8 @@ def test_after_a_loss_the_gels_are_not_tightened(error_mm: float) -> None:
 
 async def measure(cell: Cell, widths: list[float]) -> float | None:
     """Measure, from jaws that are nearly closed already."""
-    if cell.phase is Phase.IDLE:
+    gripper = cell.service.gripper.newest
+    if cell.phase is Phase.IDLE and gripper is not None and gripper.active:
         await cell.submit(MoveJawsRequest(width_mm=(cell.configured_mm == 0.0) * 2 * TIP_MM + 6.0))
         await asyncio.sleep(1.0)
 
@@ -125,6 +126,28 @@ def test_the_measurement_finds_where_the_gels_touch_and_opens_again(mode: str) -
     assert widths[0] > 2 * TIP_MM + 5.0
     moves = [value for _, what, value in cell.gripper.commands if what == "move"]
     assert len(moves) == 1 + len(widths)
+
+
+def test_the_measurement_needs_fingers_and_an_activated_gripper_but_no_arm() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        cell.world.faults.fail("arm", "disconnect")
+        cell.world.faults.fail("left", "disconnect")
+        await cell.until(lambda: cell.service.gripper.health.ready and cell.service.fingers["right"].health.ready)
+        with pytest.raises(CommandRefused, match="left is not ready"):
+            await measure(cell, [])
+        cell.world.faults.repair("left")
+        cell.world.gripper_activated = False
+        await cell.until(lambda: [line.split(":")[0] for line in cell.service.waiting_for] == ["arm"])
+        await asyncio.sleep(0.5)
+        with pytest.raises(CommandRefused, match="slipguard ctl activate"):
+            await measure(cell, [])
+        cell.world.gripper_activated = True
+        await asyncio.sleep(0.5)
+        await take_away(cell)
+        assert await measure(cell, []) is None
+
+    play(Cell(watched=False), scene)
 
 
 def test_the_measurement_confirms_a_right_setting_and_refuses_a_held_object() -> None:
