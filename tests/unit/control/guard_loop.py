@@ -68,7 +68,7 @@ class Run:
 
     @property
     def peak_deg(self) -> float:
-        return max(abs(rotation) for rotation in self.loop.trace.rotation_deg)
+        return max(abs(truth.rotation_deg) for truth in self.loop.trace)
 
     @property
     def phase(self) -> Phase:
