@@ -112,7 +112,7 @@ def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table
 
 def _error_table(records: list[LiftRecord]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    for name in ("source", "lifts", "mean", "95 %", "worst object"):
+    for name in ("source", "lifts", "mean", "p95", "worst object"):
         table.add_column(name, justify="left" if name == "source" else "right", no_wrap=True)
     for source in (*FINGERS, "fused", *ESTIMATORS):
         errors = rotation_errors(records, source)

@@ -31,7 +31,7 @@ class Health:
     """One device's health; written by the task that talks to the device.
 
     state: `disconnected` (never connected or lost; being retried), `error` (connected, but its last response was
-    bad), `ready`.
+    bad), `ready`. reason: why it is not ready, without the device's name.
     """
 
     name: str
@@ -48,7 +48,7 @@ class Health:
     @property
     def message(self) -> str:
         """The device's name and why it is not ready, in one line."""
-        return f"{self.name}: {self.reason.removeprefix(f'{self.name}: ')}"
+        return f"{self.name}: {self.reason}"
 
     def set_ready(self, now_s: float) -> None:
         """Note a good response."""
@@ -56,11 +56,14 @@ class Health:
 
     def set_error(self, reason: str) -> None:
         """Note a bad response of a connected device."""
-        self.state, self.reason = "error", reason
+        self.state, self.reason = "error", self._without_name(reason)
 
     def set_disconnected(self, reason: str) -> None:
         """Note that the device is gone and will be retried."""
-        self.state, self.reason = "disconnected", reason
+        self.state, self.reason = "disconnected", self._without_name(reason)
+
+    def _without_name(self, reason: str) -> str:
+        return reason.removeprefix(f"{self.name}: ")
 
     def as_dict(self) -> dict[str, object]:
         """Return the health as the API shows it."""

@@ -176,7 +176,7 @@ function paintLabels({ pen, y, width, height, color }, plot) {
   if (!plot.lines.some((line) => line.points.some((point) => point[1] !== null && point[1] !== undefined))) {
     pen.fillStyle = color("--soft");
     pen.textAlign = "center";
-    pen.font = pen.font.replace("12px", "14px");
+    if (width > 320) pen.font = pen.font.replace("12px", "14px");
     pen.fillText("not measured in the last minute", (LEFT + width - RIGHT) / 2, (TOP + height - BOTTOM) / 2 - 12);
   }
 }

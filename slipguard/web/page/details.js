@@ -1,7 +1,7 @@
 // Devices, timing and events: details for an engineer.
 
 import { byId, make, setRows, setText } from "./dom.js";
-import { armText, deviceName, gripperText, timeText, withoutName } from "./format.js";
+import { armText, deviceName, gripperText, timeText } from "./format.js";
 
 export const EVENTS_MAX = 50;
 const COUNT_NAMES = {
@@ -22,7 +22,7 @@ export function showDevices(state, live) {
   const rows = Object.entries(state.devices).map(([name, health]) => {
     if (!live) return [name, "not known", ""];
     const advice = health.state === "disconnected" ? [RETRY_NOTE] : [];
-    const texts = [withoutName(name, health.reason), ...advice, ...deviceTexts(state, name)].filter(Boolean);
+    const texts = [health.reason, ...advice, ...deviceTexts(state, name)].filter(Boolean);
     return [name, health.state, texts.join(". ")];
   });
   setRows(byId("devices"), rows, (name, health, reason) => {

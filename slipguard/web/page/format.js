@@ -98,16 +98,11 @@ export function deviceName(name) {
   return fingers[name] ?? name;
 }
 
-/** Remove a device's name from the start of its message, where the name is displayed next to it. */
-export function withoutName(name, text) {
-  return text && text.startsWith(`${name}: `) ? text.slice(name.length + 2) : text;
-}
-
 /** Return what the daemon is waiting for, with each device named once. */
 function waitingTexts(state) {
   return (state.waiting_for ?? []).map((line) => {
     const [name, ...reason] = line.split(": ");
-    return `${deviceName(name)}: ${withoutName(name, reason.join(": "))}`;
+    return `${deviceName(name)}: ${reason.join(": ")}`;
   });
 }
 

@@ -1,7 +1,7 @@
 // The images of both fingers: fetched one after the other while the page is visible. An old image is marked as old.
 
 import { byId, make, setAttribute, setText } from "./dom.js";
-import { deviceName, durationText, rotationText, withoutName } from "./format.js";
+import { deviceName, durationText, rotationText } from "./format.js";
 
 const PERIOD_MS = 125; // both fingers, eight times per second
 const RETRY_MS = 1500; // after a failed request
@@ -81,7 +81,7 @@ class FingerView {
 
   /** Show the state of this finger; health: of its device. */
   showState(finger, health, live) {
-    this.disconnected = health.state === "disconnected" ? withoutName(this.name, health.reason) : null;
+    this.disconnected = health.state === "disconnected" ? health.reason : null;
     if (this.disconnected) this.showMissing(this.disconnected);
     this.figure.classList.toggle("outdated", !live);
     setText(this.serial, finger.serial ?? "not found yet");

@@ -132,3 +132,12 @@ def test_problems_are_described_by_device() -> None:
     assert found(replace(fine, arm=arm(at_s=10.0, protective=True))) == {"arm": "in protective stop"}
     assert found(replace(fine, arm=arm(at_s=10.0, protective=True, emergency=True))) == {"arm": "in emergency stop"}
     assert found(replace(fine, gripper=None, arm=None)) == {}
+
+
+@pytest.mark.parametrize("reason", ["left: no frame for 250 ms", "no frame for 250 ms"])
+def test_a_reason_does_not_repeat_the_name_of_its_device(reason: str) -> None:
+    health = Health("left")
+    for note in (health.set_error, health.set_disconnected):
+        note(reason)
+        assert health.reason == "no frame for 250 ms"
+        assert health.message == "left: no frame for 250 ms"
