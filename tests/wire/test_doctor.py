@@ -67,7 +67,7 @@ def there() -> Iterator[Cell]:
 def _quick(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Short looks."""
     monkeypatch.setattr(sensor, "OBSERVE_S", 0.5)
-    monkeypatch.setattr(sensor, "FIRST_FRAME_S", 4.0)
+    monkeypatch.setattr(sensor, "FIRST_FRAME_S", 8.0)
     monkeypatch.setattr(sensor, "SETTLE_S", 0.2)
     monkeypatch.setattr(gripper, "READS", 20)
     monkeypatch.setattr(ur5_diagnostics, "MEASURE_S", 0.3)
