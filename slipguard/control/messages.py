@@ -19,6 +19,8 @@ class Condition(StrEnum):
     FRESH = "fresh"
     STALE = "stale"
     """No recent frame, or only frozen or corrupt ones; the sensor is connected."""
+    LATE = "late"
+    """Frames arrive, but this machine receives or processes them too late."""
     LOST = "lost"
     """The sensor is not connected."""
 
@@ -72,6 +74,7 @@ class Observation:
     Args:
         fused: estimate from the fingers whose frames are fresh; None if there is none.
         gripper, arm: the newest state; None if the device is not connected.
+        busy_s: for how much of the last second the loop was late.
         gripper_limits_n: weakest and strongest grip of this gripper, newtons per finger.
         fault: the gravest fault the supervisor finds now; other_faults: what else it finds.
     """
@@ -83,6 +86,7 @@ class Observation:
     gripper: GripperState | None = None
     arm: ArmState | None = None
     request: ControlRequest = NO_REQUEST
+    busy_s: float = 0.0
     gripper_limits_n: tuple[float, float] = (20.0, 235.0)
     fault: Fault | None = None
     other_faults: tuple[Fault, ...] = ()

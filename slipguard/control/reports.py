@@ -132,6 +132,7 @@ class FaultCode(StrEnum):
     ARM_EMERGENCY = "arm in emergency stop"
     ARM_STUCK = "arm stuck"
     LOOP_LATE = "loop late"
+    MACHINE_BUSY = "machine too busy"
     TIGHTENING_INEFFECTIVE = "tightening has no effect"
     FORCE_LIMIT_REACHED = "force limit reached"
     ROTATED_TOO_FAR = "rotated too far"

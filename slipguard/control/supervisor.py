@@ -24,6 +24,8 @@ LEFT_OUT_S = 0.6
 """If one finger stops giving estimates, a contradiction stays in force this long.
 
 A skipped finger is measured again every 0.25 s, so its silence is no agreement."""
+BUSY_SHARE = 0.5
+"""A device's silence is due to the busy machine if the loop was late for this share of the device's timeout."""
 GAIN_MM = 1.0
 """Less height than this gained counts as none."""
 
@@ -35,6 +37,7 @@ class Supervision:
     Args:
         began_s, stepped_s: the first and the newest step.
         arm_known, gripper_known, frames_known: received since then.
+        resumed_s: the first step after the last gap between two steps that was a fault.
         frames_since_s, gripper_since_s, arm_since_s: since when they are missing.
         untrusted, untrusted_since_s: why the rotation estimate cannot be trusted, and since when.
         contradicted_s: when the fingers last contradicted each other.
@@ -47,6 +50,7 @@ class Supervision:
     arm_known: bool = False
     gripper_known: bool = False
     frames_known: bool = False
+    resumed_s: float = -math.inf
     frames_since_s: float | None = None
     gripper_since_s: float | None = None
     arm_since_s: float | None = None
@@ -80,6 +84,7 @@ def supervise(
         memory,
         began_s=began_s,
         stepped_s=now_s,
+        resumed_s=now_s if late_s >= params.tuning.cycle_timeout_s else memory.resumed_s,
         arm_known=arm_known,
         gripper_known=gripper_known,
         frames_known=frames_known,
@@ -89,20 +94,42 @@ def supervise(
     )
     devices = _gripper(memory, observation, params), _frames(memory, observation, params)
     if not held:
-        return memory, tuple(fault for fault in devices if fault is not None)
+        return memory, _merge_busy(devices)
     memory = _follow_trust(memory, state, observation)
     memory = _follow_tightening(memory, state, observation)
     memory = _follow_arm(memory, state, observation)
     checks = (
         _arm_stop(observation),
+        _late(late_s, params),
         *devices,
         _arm(memory, state, observation, params),
         _arm_stuck(memory, state, observation, params),
         _no_effect(memory, observation, params),
         _untrusted(memory, state, observation, params),
-        _late(late_s, params),
     )
-    return memory, tuple(fault for fault in checks if fault is not None)
+    return memory, _merge_busy(checks)
+
+
+def _merge_busy(checks: tuple[Fault | None, ...]) -> tuple[Fault, ...]:
+    """Return the faults; of several that are due to the busy machine, the first."""
+    faults = [fault for fault in checks if fault is not None]
+    busy = [fault for fault in faults if fault.code is FaultCode.MACHINE_BUSY]
+    return tuple(fault for fault in faults if fault not in busy[1:])
+
+
+def _due_to_busy_machine(fault: Fault, observation: Observation, timeout_s: float, *, connected: bool) -> Fault:
+    """Return the fault of a silent device; if this machine was too busy to read it, the fault of the machine.
+
+    connected: whether the driver still has its device.
+    """
+    if not connected or observation.busy_s < BUSY_SHARE * timeout_s:
+        return fault
+    late = f"the control loop was late for {observation.busy_s:.2f} s of the last second"
+    return _busy(f"{fault.code}: {fault.observed}; {late}")
+
+
+def _busy(observed: str) -> Fault:
+    return Fault(FaultCode.MACHINE_BUSY, observed, "find what keeps the machine busy, then clear")
 
 
 def _since(since_s: float | None, wrong: bool, now_s: float) -> float | None:
@@ -116,11 +143,10 @@ def _lasts(since_s: float | None, now_s: float, limit_s: float) -> bool:
     return since_s is not None and now_s - since_s >= limit_s
 
 
-def _silent_s(measured_at_s: float | None, since_s: float | None, now_s: float) -> float:
-    """Return for how long a device has not reported."""
-    if measured_at_s is not None:
-        return now_s - measured_at_s
-    return now_s - since_s if since_s is not None else 0.0
+def _silent_s(memory: Supervision, measured_at_s: float | None, since_s: float | None, now_s: float) -> float:
+    """Return for how long a device has not reported. While the loop itself stood still, no device could report."""
+    known_s = measured_at_s if measured_at_s is not None else since_s
+    return 0.0 if known_s is None else now_s - max(known_s, memory.resumed_s)
 
 
 def _starts(memory: Supervision, known: bool, now_s: float, timeout_s: float) -> bool:
@@ -141,13 +167,14 @@ def _arm_stop(observation: Observation) -> Fault | None:
 
 def _gripper(memory: Supervision, observation: Observation, params: GuardParams) -> Fault | None:
     gripper, now_s, timeout_s = observation.gripper, observation.now_s, params.tuning.gripper_timeout_s
-    silent_s = _silent_s(gripper.measured_at_s if gripper else None, memory.gripper_since_s, now_s)
+    silent_s = _silent_s(memory, gripper.measured_at_s if gripper else None, memory.gripper_since_s, now_s)
     if silent_s >= timeout_s and not _starts(memory, memory.gripper_known, now_s, timeout_s):
-        return Fault(
+        silent = Fault(
             FaultCode.GRIPPER_SILENT,
             f"no response for {silent_s:.1f} s",
             "check its cable and power; the jaws lock themselves and keep the grip; then clear",
         )
+        return _due_to_busy_machine(silent, observation, timeout_s, connected=gripper is not None)
     if gripper is not None and (gripper.fault is not None or not gripper.active):
         return Fault(
             FaultCode.GRIPPER_FAULT,
@@ -169,16 +196,21 @@ def _frames(memory: Supervision, observation: Observation, params: GuardParams) 
     now_s, timeout_s = observation.now_s, params.tuning.frames_timeout_s
     if memory.frames_since_s is None:
         return None
-    silent_s = max(min(observation.left.age_s, observation.right.age_s), now_s - memory.frames_since_s)
+    fingers = (("left", observation.left), ("right", observation.right))
+    silent_s = max(min(finger.age_s for _, finger in fingers), now_s - memory.frames_since_s)
+    silent_s = min(silent_s, now_s - memory.resumed_s)
     if silent_s < timeout_s or _starts(memory, memory.frames_known, now_s, timeout_s):
         return None
-    fingers = (("left", observation.left), ("right", observation.right))
     both = " and ".join(f"{name}: {finger.why or finger.condition}" for name, finger in fingers)
-    return Fault(
+    if any(finger.condition is Condition.LATE for _, finger in fingers):
+        return _busy(f"frames arrive, but are processed {silent_s:.1f} s late ({both})")
+    lost = Fault(
         FaultCode.FRAMES_LOST,
         f"no good frame for {silent_s:.1f} s ({both})" if math.isfinite(silent_s) else f"never a good frame ({both})",
         "check the sensors' cables, then clear; until then slip is not detected",
     )
+    connected = any(finger.condition is not Condition.LOST for _, finger in fingers)
+    return _due_to_busy_machine(lost, observation, timeout_s, connected=connected)
 
 
 def _follow_trust(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
@@ -207,16 +239,17 @@ def _untrusted(memory: Supervision, state: GraspState, observation: Observation,
 
 def _arm(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
     arm = observation.arm
-    silent_s = _silent_s(arm.measured_at_s if arm else None, memory.arm_since_s, observation.now_s)
+    silent_s = _silent_s(memory, arm.measured_at_s if arm else None, memory.arm_since_s, observation.now_s)
     gone_in_motion = arm is None and (state.phase in MOVING or state.arm.putting_down)
     limit_s = params.tuning.arm_timeout_s if memory.arm_known else ARM_START_S
     if silent_s < limit_s and not gone_in_motion:
         return None
-    return Fault(
+    silent = Fault(
         FaultCode.ARM_SILENT,
         f"no state for {silent_s:.1f} s",
         "check the robot's network and power; stop it by hand if it moves; then clear",
     )
+    return _due_to_busy_machine(silent, observation, limit_s, connected=arm is not None)
 
 
 def _follow_arm(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
@@ -232,7 +265,9 @@ def _follow_arm(memory: Supervision, state: GraspState, observation: Observation
 
 def _arm_stuck(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Fault | None:
     arm, timeout_s = observation.arm, params.tuning.stuck_timeout_s
-    if memory.gained_mm is None or arm is None or observation.now_s - memory.gained_s < timeout_s:
+    if memory.gained_mm is None or arm is None:
+        return None
+    if observation.now_s - max(memory.gained_s, memory.resumed_s) < timeout_s:
         return None
     return Fault(
         FaultCode.ARM_STUCK,

@@ -16,7 +16,7 @@ from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen
 
 REOPEN_S = 2.0
-"""A connected sensor that delivers no good frame for this time is closed and opened again."""
+"""A connected sensor that delivers only errors for this time is closed and opened again."""
 TORN_MAX, TORN_WITHIN_S = 4, 1.0
 """More torn frames than this within this time restart the stream, after which a DIGIT tears less than 1 % of them."""
 RESTART_INTERVAL_S = 10.0
@@ -104,6 +104,8 @@ class SensorCapture:
         self.counts = FrameCounts()
         self.serial: str | None = None
         """Of the sensor opened last; None before that."""
+        self.received_at_s: float | None = None
+        """Loop time at which the last good frame was received."""
         self.newest_frame: Frame | None = None
         """The last good frame; None while the sensor is gone."""
         self.frames: LatestValue[tuple[Frame, float]] = LatestValue()
@@ -176,22 +178,25 @@ class SensorCapture:
         self._on_open(self.serial)
         self.streaming = True
         loop = asyncio.get_running_loop()
-        received_at_s = loop.time()
+        failing_since_s: float | None = None
         sequence: int | None = None
         while True:
             raise_if_cancelled()
             if self._restarts.due(self.name, loop.time()):
                 await self._restart()
-                received_at_s, sequence = loop.time(), None
+                failing_since_s = sequence = None
             try:
                 frame = await self.sensor.next_frame()
             except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:
                 self.counts.add_error(error)
                 self._report_error(str(error))
-                if loop.time() - received_at_s > REOPEN_S:
+                # Not since the last frame: this process may have been suspended meanwhile.
+                failing_since_s = loop.time() if failing_since_s is None else failing_since_s
+                if loop.time() - failing_since_s > REOPEN_S:
                     raise
                 continue
-            received_at_s = loop.time()
+            self.received_at_s = received_at_s = loop.time()
+            failing_since_s = None
             self._backoff.reset()
             self.counts.frames += 1
             self.counts.missed += max(0, frame.sequence - sequence - 1) if sequence is not None else 0

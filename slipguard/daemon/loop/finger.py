@@ -147,12 +147,18 @@ class Finger:
         age_s = now_s - self.captured_at_s if self.captured_at_s is not None else float("inf")
         if self.health.state == "disconnected":
             condition = Condition.LOST
-        elif not -STALE_S <= age_s <= STALE_S:
-            condition = Condition.STALE
-        else:
+        elif -STALE_S <= age_s <= STALE_S:
             condition = Condition.FRESH
+        elif age_s > 0.0 and self.health.ready and self._receives(now_s):
+            return FingerHealth(Condition.LATE, age_s, f"its frames are processed {age_s:.2f} s late"), None
+        else:
+            condition = Condition.STALE
         fresh = self.newest.estimate if self.newest is not None and condition is Condition.FRESH else None
         return FingerHealth(condition, age_s, self.health.reason), fresh
+
+    def _receives(self, now_s: float) -> bool:
+        received_at_s = self.capture.received_at_s
+        return received_at_s is not None and now_s - received_at_s <= STALE_S
 
     def skip_frames_after(self, peer: Finger, refresh_s: float) -> None:
         """Keep the last estimate while `peer` sees the object unchanged, for at most `refresh_s`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 
 import structlog
@@ -48,6 +49,7 @@ from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
 
 FINGERS = ("left", "right")
+BUSY_WINDOW_S = 1.0
 
 Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, StepOutput]]
 log = structlog.get_logger()
@@ -87,6 +89,8 @@ class Service:
         """Called when a force command is sent to the gripper, with the seconds since its frame was received."""
         self.event_log = EventLog()
         self.deadlines_missed = 0
+        self._late: deque[tuple[float, float]] = deque()
+        """Loop time of each late cycle of the last `BUSY_WINDOW_S`, and by how much it was late."""
         self._memory = memory or ControlState()
         self.observation: Observation | None = None
         self._controller = controller
@@ -235,8 +239,19 @@ class Service:
             gripper=self.gripper.newest,
             arm=self.arm.newest,
             request=request,
+            busy_s=self._busy_s(now_s),
             gripper_limits_n=self._gripper_limits_n,
         )
+
+    def _busy_s(self, now_s: float) -> float:
+        """Return for how much of the last `BUSY_WINDOW_S` the loop was late."""
+        period_s = self.config.loop.period_ms / 1e3
+        late_s = now_s - self.observation.now_s - period_s if self.observation is not None else 0.0
+        if late_s >= period_s:
+            self._late.append((now_s, late_s))
+        while self._late and now_s - self._late[0][0] >= BUSY_WINDOW_S:
+            self._late.popleft()
+        return min(sum(late_s for _, late_s in self._late), BUSY_WINDOW_S)
 
     def _take_new_estimates(self) -> dict[str, TimedEstimate]:
         """Return by finger the estimates that this cycle is the first to use."""

@@ -1,0 +1,133 @@
+"""A busy or suspended machine is reported as such, not as broken cameras; the grip stays and `clear` works."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.control.reports import FaultCode
+from slipguard.control.state import Phase
+from slipguard.daemon.api.requests import ClearRequest, LiftRequest
+from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
+from slipguard.errors import CommandRefused
+
+PERIOD_S = 0.01
+
+
+def stand_still(for_s: float) -> None:
+    """Nothing of this process runs for this time; the world goes on."""
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualTimeLoop)
+    loop.stand_still(for_s)
+
+
+async def clear_when_possible(cell: Cell) -> None:
+    for _ in range(50):
+        with contextlib.suppress(CommandRefused):
+            await cell.submit(ClearRequest())
+            return
+        await asyncio.sleep(0.1)
+    raise AssertionError(cell.where)
+
+
+DEVICE_FAULTS = (FaultCode.FRAMES_LOST, FaultCode.GRIPPER_SILENT, FaultCode.ARM_SILENT)
+
+
+async def held_and_cleared(cell: Cell) -> None:
+    blamed = [line for line in cell.service.event_log.lines if line.startswith(DEVICE_FAULTS)]
+    assert not blamed, "no device is at fault"
+    assert cell.truth.dropped is None
+    await clear_when_possible(cell)
+    await cell.until(cell.steady)
+
+
+@pytest.mark.parametrize("lifting", [False, True])
+def test_a_suspended_process_latches_the_true_reason_and_goes_on(lifting: bool) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        if lifting:
+            await cell.submit(LiftRequest())
+            await asyncio.sleep(0.2)
+        stand_still(6.0)
+        await cell.until(lambda: cell.phase is Phase.FAULT, 0.1)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.LOOP_LATE
+        assert "no control step for 6.0" in fault.observed
+        await asyncio.sleep(0.5)
+        await held_and_cleared(cell)
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_suspended_process_that_holds_nothing_reports_the_gap() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        stand_still(6.0)
+        await asyncio.sleep(0.5)
+        assert any("no control step for 6.0" in line for line in cell.service.event_log.lines)
+        assert cell.phase is Phase.IDLE
+        await cell.grasp()
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_loop_that_is_late_again_and_again_is_named() -> None:
+    """Four fifths of the time go to other programs; the cameras' frames are lost on the way."""
+
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        for name in ("left", "right"):
+            cell.world.faults.fail(name, "stall")
+        while cell.phase is not Phase.FAULT:
+            await asyncio.sleep(PERIOD_S)
+            stand_still(4 * PERIOD_S)
+        assert cell.service.deadlines_missed > 10
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.MACHINE_BUSY
+        assert "frames lost: no good frame" in fault.observed
+        for name in ("left", "right"):
+            cell.world.faults.repair(name)
+        await cell.ready()
+        await held_and_cleared(cell)
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_workers_that_are_late_are_named() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        for worker in cell.workers.values():
+            worker.latency_s = 0.5
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.MACHINE_BUSY
+        assert "frames arrive, but are processed" in fault.observed
+        for worker in cell.workers.values():
+            worker.latency_s = 0.006
+        await asyncio.sleep(1.0)
+        await held_and_cleared(cell)
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_cameras_that_stall_on_an_idle_machine_are_named() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        stand_still(0.2)
+        await asyncio.sleep(2.0)
+        for name in ("left", "right"):
+            cell.world.faults.fail(name, "stall")
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.FRAMES_LOST
+
+    play(Cell("wrench", 1), scene)
