@@ -69,6 +69,7 @@ class GripperState:
     closed_on_nothing: bool
     """The fingers are closed, as far as fingertip sensors allow: there is no object between them."""
     width_mm: float
+    """Between the fingers, or between the gels of fingertip sensors."""
     force_n: float
     """The force last applied by a command, per finger; not a measurement."""
     fault: str | None

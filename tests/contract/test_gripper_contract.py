@@ -57,6 +57,15 @@ async def test_force_limits_are_a_range(gripper: Gripper) -> None:
     assert 0 < low_n < high_n
 
 
+async def test_an_active_gripper_is_not_activated_again(gripper: Gripper) -> None:
+    before = await gripper.state()
+    assert before.active
+    with pytest.raises(CommandRefused):
+        await gripper.activate()
+    after = await gripper.state()
+    assert (after.active, after.moving, after.width_mm) == (True, False, before.width_mm)
+
+
 @needs("object")
 async def test_hold_grips_with_the_force_it_returns(rig: GripperRig, gripper: Gripper) -> None:
     rig.put_object()

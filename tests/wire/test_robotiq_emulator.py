@@ -58,6 +58,19 @@ def bench() -> Bench:
     return bench
 
 
+def test_an_activation_presses_the_gels_on_each_other_with_full_force() -> None:
+    bench = Bench()
+    bench.jaws.fingertip_mm = 20.0
+    bench.write(0x0100, 0, 0, after_s=0.0)
+    most_n = 0.0
+    for _ in range(100):
+        bench.wait(0.05)
+        most_n = max(most_n, bench.force_n)
+    assert most_n == 235.0
+    assert bench.registers.stage is ActivationStage.READY
+    assert bench.jaws.state_at(bench.now_s).width_mm == 85.0
+
+
 def test_sensors_on_the_fingers_meet_early(bench: Bench) -> None:
     bench.jaws.fingertip_mm = 20.0
     bench.write(0x0900, 255, 0xFF40, after_s=3.0)

@@ -1,9 +1,9 @@
 """The controller of a 2F gripper behind its registers; written from the manual, without code of the driver.
 
-It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, so an object falls. A
-new force acts only while the motor runs: at rest, only a stop and then a go start it. Written registers take effect
-once per cycle, so a stop and a go within one cycle have no effect. gOBJ keeps its former value for a time after a go,
-and while rGTO is 0 it has an arbitrary value, for the manual says to ignore it then.
+It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, at full speed and force,
+so an object falls. A new force acts only while the motor runs: at rest, only a stop and then a go start it. Written
+registers take effect once per cycle, so a stop and a go within one cycle have no effect. gOBJ keeps its former value
+for a time after a go, and while rGTO is 0 it has an arbitrary value, for the manual says to ignore it then.
 """
 
 from __future__ import annotations
@@ -159,17 +159,17 @@ class GripperRegisters:
         self.activations += 1
         self._note("activating", held=self.jaws.state_at(now_s).holds)
         self.stage = ActivationStage.OPENING
-        self._drive(now_s, 0, 255, 0)
+        self._drive(now_s, 0, 255, 255)
 
     def _continue_activation(self, now_s: float, view: JawsState) -> None:
         if view.moving or self.stage in (ActivationStage.OFF, ActivationStage.READY):
             return
         if self.stage is ActivationStage.OPENING:
             self.stage = ActivationStage.CLOSING
-            self._drive(now_s, 255, 255, 0)
+            self._drive(now_s, 255, 255, 255)
         elif self.stage is ActivationStage.CLOSING:
             self.stage = ActivationStage.REOPENING
-            self._drive(now_s, 0, 255, 0)
+            self._drive(now_s, 0, 255, 255)
         else:
             self.stage = ActivationStage.READY
             self._note("activated")
