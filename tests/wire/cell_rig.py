@@ -121,10 +121,11 @@ class Cell:
 
 
 @contextmanager
-def cell(folder: Path, host: str, *options: object) -> Iterator[Cell]:
-    """A cell that is ready; ended at the end."""
+def cell(folder: Path, host: str, *options: object, activated: bool = True) -> Iterator[Cell]:
+    """A cell that is ready, with the gripper activated or not; ended at the end."""
     place = folder / "cell"
-    words = ("emulate", "cell", "--json", "--folder", place, "--host", host, "--activated", "--robot-on", *options)
+    gripper = ["--activated"] if activated else []
+    words = ("emulate", "cell", "--json", "--folder", place, "--host", host, *gripper, "--robot-on", *options)
     process = Process(folder, "emulate", *words)
     try:
         until(lambda: '"ready"' in process.said, "the cell is not ready", lambda: process.said)

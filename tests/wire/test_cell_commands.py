@@ -56,7 +56,7 @@ class Terminal:
 
 @pytest.fixture
 def there(tmp_path: Path) -> Iterator[Cell]:
-    with cell(tmp_path, own_address(67), *OPTIONS) as made:
+    with cell(tmp_path, own_address(67), *OPTIONS, activated=False) as made:
         yield made
 
 
@@ -66,6 +66,9 @@ def test_every_command_of_a_guarded_cell(there: Cell, tmp_path: Path, capfd: pyt
     there.config.write_text(there.config.read_text().replace("[api]\n", f'[api]\nlisten = "{free_address()}"\n'))
     assert "valid" in terminal.run("check", "--config", there.config)
     with daemon(there) as client:
+        assert "slipguard ctl activate" in terminal.ctl("gripper", "--width-mm", 60, code=1)
+        terminal.patiently("activate", "--yes")
+        assert "already activated" in terminal.ctl("activate", "--yes", code=1)
         terminal.patiently("calibrate")
         terminal.run("calibrate", "--config", there.config)
         _drive(terminal, client)
