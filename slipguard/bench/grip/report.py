@@ -139,10 +139,10 @@ def _table(title: str, lines: list[GripRow], columns: dict[str, Callable[[GripRo
 
 
 def _limits_table(figures: dict[str, Any]) -> Table:
-    table = _plain("limits", ("", "limit", "all", *GROUPS, "kept"))
+    table = _plain("limits", ("", "limit", "all", *(name.replace(" ", "\n") for name in GROUPS), "kept"))
     for check in checks(figures):
         values = [check.value, *(check.groups[group] for group in GROUPS)]
-        shown = ["–" if value is None else f"{value:.3g}" for value in values]
+        shown = ["–" if value is None else f"{round(value, 2):g}" for value in values]
         table.add_row(check.bound.title, check.bound.allowed, *shown, "yes" if check.held else "NO")
     return table
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from io import StringIO
+from typing import Any, cast
 
 import pytest
+from rich.console import Console
 
 from slipguard.bench.grip import campaign_figures as figures
 from slipguard.bench.grip import group_statistics as rows
 from slipguard.bench.grip.campaign import GripCampaignResult, TrialOutcomes
 from slipguard.bench.grip.campaign_figures import BOUNDS, FigureLimit
+from slipguard.bench.grip.report import print_tables
 from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold
 from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, TrialOutcome
-from slipguard.bench.grip.trials import GripTrial, draw
+from slipguard.bench.grip.trials import SHARES, GripTrial, draw
 
 
 def trial(share: float = 0.9, *, soft: bool = False) -> GripTrial:
@@ -128,3 +131,15 @@ def test_a_failed_hold_fails_the_campaign() -> None:
     reported = figures.as_json(found(played(made(1.0), made(1.0)), holds=(held(failed="not holding"), held())))
     assert reported["holds_failed"] == 1
     assert any("failed holds" in line for line in figures.failures(reported))
+
+
+def test_the_tables_fit_80_columns() -> None:
+    soft = [played(made(0.812), made(2.06), trial(share, soft=True)) for share in SHARES]
+    stiff = [played(made(123.456), made(10.0), trial(share)) for share in SHARES]
+    tight = (played(made(123.456), made(10.0)), played(made(3.3333), made(1.7)))
+    everything = GripCampaignResult((*soft, *stiff), tuple(stiff), tight, tight, (held(2, 1, soft=True), held()))
+    console = Console(width=80, file=StringIO())
+    print_tables(console, everything)
+    text = cast("StringIO", console.file).getvalue()
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= 80
