@@ -17,9 +17,10 @@ from tests.campaigns.paper_networks.recipe import Arch, RecipeName
 from tests.campaigns.recording_cost import recording_cost
 from tests.campaigns.soak.command import soak
 from tests.campaigns.stress_list import stress_list
+from tests.campaigns.torn.command import torn_frames
 
 app = typer.Typer(name="campaigns", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-for campaign in (soak, faults, api_load, recording_cost, stress_list, hostile_clients):
+for campaign in (soak, faults, api_load, recording_cost, stress_list, hostile_clients, torn_frames):
     app.command()(campaign)
 Model = Annotated[Path | None, typer.Option(help="Segmentation network (.onnx); default: the shipped one.")]
 

@@ -21,9 +21,9 @@ GROUP_PX = 8
 """Pixels along a line are averaged over this length: their noise falls, and no structure of the gel is finer."""
 SIDE_PX = 4
 """Lines on each side whose mean difference is compared with the step."""
-SHARP_MIN = 0.6
+SHARP_MIN, SHARP_MAX = 0.7, 1.3
 """Step at a line over the difference between both sides: 1 at a tear. An edge blurred with a standard deviation of
-0.8 pixels reaches 0.3; cameras behind a gel blur more."""
+0.8 pixels reaches 0.3; cameras behind a gel blur more. Thin structures have a step but no difference of the sides."""
 OUTSTANDING_MIN = 4.0
 """The step, as a multiple of that of 95 % of the lines and of all nearby ones. Without a tear the largest is 1.5 by
 chance, and 2.6 in pairs of real frames that were compressed in blocks."""
@@ -129,7 +129,8 @@ def _torn_line(now: Lines, before: Lines) -> int | None:
     outstanding = joint / np.sqrt(noise * np.maximum(square, 1e-3))
     sizes = np.abs(outstanding)
     typical = _share(sizes, 0.95)
-    found = np.flatnonzero((outstanding > OUTSTANDING_MIN * typical) & (joint > SHARP_MIN * square)).tolist()
+    sharp = (joint > SHARP_MIN * square) & (joint < SHARP_MAX * square)
+    found = np.flatnonzero(sharp & (outstanding > OUTSTANDING_MIN * typical)).tolist()
     for at in sorted(found, key=lambda place: -float(outstanding[place])):
         nearest, farthest = NEAR_PX
         before_it, after_it = sizes[max(at - farthest, 0) : max(at - nearest + 1, 0)], sizes[at + nearest :][:farthest]

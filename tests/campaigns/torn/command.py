@@ -1,0 +1,124 @@
+"""`python -m tests.campaigns torn-frames`: detection, false alarms, angle errors and lifts with torn frames."""
+
+from __future__ import annotations
+
+import json as jsonlib
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from itertools import chain, pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from slipguard.perception.quality.torn_frame import find_tear, frame_lines
+from slipguard.sim.catalogue import object_names
+from tests.campaigns.torn.angle_errors import angle_errors
+from tests.campaigns.torn.closed_loop import torn_lift
+from tests.campaigns.torn.splices import (
+    EDGES_LEVELS,
+    SpliceResult,
+    half_size,
+    real_captures,
+    real_good_pairs,
+    rendered_captures,
+    rendered_good_pairs,
+    splice_results,
+)
+
+SHARES = (0.0, 0.05, 0.4)
+TORN_SHARE = 0.25
+"""Share of torn frames for the angle errors."""
+CLEAR, CLEAR_SHARE_MIN = ">10", 0.95
+"""Class of difference in which tears must be found, and how many. Tears in the outer four lines cannot be found."""
+ERROR_MAX_DEG = 3.0
+"""Largest accepted error of an undetected torn frame: less than its grasps rotate in one frame (5 degrees)."""
+
+
+def torn_frames(
+    real: Annotated[Path | None, typer.Option(help="Folder of real DIGIT frames (real_digit).")] = None,
+    units: Annotated[int, typer.Option(min=1, help="Rendered sensor units.")] = 6,
+    every: Annotated[int, typer.Option(min=1, help="Splice at every n-th row and column.")] = 1,
+    lifts: Annotated[int, typer.Option(min=0, help="Objects lifted at 0, 5 and 40 % torn frames.")] = 10,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Splice frames at every line: detected tears, false alarms, angle errors, lifts. Exit 1 if a limit is exceeded.
+
+    Example: `python -m tests.campaigns torn-frames --real real_digit`
+    """
+    found = campaign_figures(real, units, every, lifts)
+    failures = violations(found)
+    print(jsonlib.dumps(found | {"failures": failures}) if json else "\n".join([*_lines(found), *failures]))
+    if failures:
+        raise typer.Exit(1)
+
+
+def campaign_figures(real: Path | None, units: int, every: int, lifts: int) -> dict[str, Any]:
+    """Return all figures as a JSON object."""
+    captures = chain(rendered_captures(units), real_captures(real, 20 * units) if real else ())
+    pairs = chain(rendered_good_pairs(20 * units, seed=1), real_good_pairs(real) if real else ())
+    names = object_names("test")
+    return {
+        "detection": detection_table(chain.from_iterable(splice_results(one, every) for one in captures)),
+        "false_alarms": false_alarms(pairs),
+        "angle_errors": angle_errors(names[: 2 * units], TORN_SHARE, seeds=max(units // 5, 1)).as_json(),
+        "lifts": [torn_lift(name, share).as_json() for name in names[:lifts] for share in SHARES],
+    }
+
+
+def detection_table(results: Iterable[SpliceResult]) -> dict[str, dict[str, list[float]]]:
+    """Return by kind and class of difference: [detected share, share at the right line, number]."""
+    classes: dict[str, dict[str, list[tuple[bool, bool]]]] = defaultdict(lambda: defaultdict(list))
+    names = [f"{low:g}-{high:g}" if high < EDGES_LEVELS[-1] else f">{low:g}" for low, high in pairwise(EDGES_LEVELS)]
+    for one in results:
+        name = names[int(np.searchsorted(EDGES_LEVELS, one.levels, side="right")) - 1]
+        classes[one.kind][name].append((one.found, one.at_line))
+    return {
+        kind: {
+            name: [*(round(float(share), 4) for share in np.mean(of[name], axis=0)), len(of[name])]
+            for name in names
+            if name in of
+        }
+        for kind, of in classes.items()
+    }
+
+
+def false_alarms(pairs: Iterable[tuple[str, NDArray[np.uint8], NDArray[np.uint8]]]) -> dict[str, list[int]]:
+    """Return by kind: [good frames that were taken for torn, all], at full and at half size."""
+    counts: dict[str, list[int]] = defaultdict(lambda: [0, 0])
+    for kind, before, image in pairs:
+        sizes = (("240x320", before, image), ("120x160", half_size(before), half_size(image)))
+        for size, was, now in sizes:
+            count = counts[f"{kind}, {size}"]
+            count[0] += find_tear(frame_lines(now), frame_lines(was)) is not None
+            count[1] += 1
+    return dict(counts)
+
+
+def violations(found: dict[str, Any]) -> list[str]:
+    """Return which limits are exceeded, one line each."""
+    alarms, detection, errors, lifts = (found[key] for key in ("false_alarms", "detection", "angle_errors", "lifts"))
+    lines = [f"{kind}: {bad} of {count} good frames taken for torn" for kind, (bad, count) in alarms.items() if bad]
+    for kind, of in detection.items():
+        share = of.get(CLEAR, [1.0])[0]
+        if share < CLEAR_SHARE_MIN:
+            lines.append(f"{kind}, {CLEAR}: {share:.1%} found (limit {CLEAR_SHARE_MIN:.0%})")
+    if errors["false"] or errors["undetected_max_deg"] > ERROR_MAX_DEG:
+        lines.append(f"angle errors: {errors}")
+    for lift in lifts:
+        alone = next(one for one in lifts if (one["object_name"], one["share"]) == (lift["object_name"], 0.0))
+        if lift["outcome"] != alone["outcome"] or lift["causeless"] > alone["causeless"]:
+            lines.append(f"lift: {lift}; without tears: {alone}")
+    return lines
+
+
+def _lines(found: dict[str, Any]) -> Iterator[str]:
+    yield "detected share (number) by difference of the captures at the line, grey levels rms:"
+    for kind, of in found["detection"].items():
+        yield f"  {kind}: " + ", ".join(f"{name}: {share:.1%} ({count})" for name, (share, _, count) in of.items())
+    yield "good frames taken for torn:"
+    yield from (f"  {kind}: {bad} of {count}" for kind, (bad, count) in found["false_alarms"].items())
+    yield f"angle errors with {TORN_SHARE:.0%} torn: {found['angle_errors']}"
+    yield from (str(lift) for lift in found["lifts"])
