@@ -60,7 +60,7 @@ def rendered_captures(units: int, seed: int = 0) -> Iterator[Captures]:
     """Yield captures of the test objects on random units, at each speed of rotation."""
     rng = np.random.default_rng(seed)
     for number in range(units):
-        camera = GelCamera(random_unit(rng) if number else SensorUnit.default(), seed=seed + number)
+        camera = GelCamera(random_unit(rng) if number else SensorUnit(), seed=seed + number)
         for name in object_names("test"):
             x_mm, y_mm, angle_deg, depth_mm = rng.uniform((-1.5, -1.5, 0.0, 0.3), (1.5, 1.5, 180.0, 0.9)).tolist()
             start = GelView(name, x_mm, y_mm, angle_deg, depth_mm)
@@ -75,7 +75,7 @@ def rendered_good_pairs(units: int, seed: int = 0) -> Iterator[tuple[str, Image,
     rng = np.random.default_rng(seed)
     boxes = {name: HeightRaster.of(height) for name, height in _BOXES.items()}
     for number in range(units):
-        unit = random_unit(rng) if number else SensorUnit.default()
+        unit = random_unit(rng) if number else SensorUnit()
         camera = GelCamera(replace(unit, psf_px=0.8) if number % 3 == 1 else unit, seed=seed + number)
         empty = camera.draw(GelView(""))
         for name in (*boxes, *object_names("test")):

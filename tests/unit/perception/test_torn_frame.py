@@ -27,7 +27,7 @@ STEPPED = HeightRaster.of(lambda u, v: shapes.plateau(shapes.box(u, v, 14.0, 2.5
 
 
 def camera(seed: int = 0, psf_px: float = 2.2) -> GelCamera:
-    return GelCamera(replace(SensorUnit.default(), psf_px=psf_px), seed=seed)
+    return GelCamera(replace(SensorUnit(), psf_px=psf_px), seed=seed)
 
 
 def wrench(gel: GelCamera, angle_deg: float) -> Image:
