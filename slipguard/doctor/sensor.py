@@ -13,6 +13,7 @@ from slipguard.devices import TactileSensor
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor.gripper import describe_times
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen, InputError
+from slipguard.perception.quality.torn_frame import TornFrames
 
 OBSERVE_S = 2.0
 FIRST_FRAME_S = 4.0
@@ -22,6 +23,8 @@ SETTLE_S = 0.5
 RATE_SHARE = 0.95
 LOST_NOTE, LOST_PROBLEM = 0.02, 0.05
 """Shares of frames. A healthy USB camera loses 0.1-1 %; at 5 % slip is detected frames later."""
+TORN_PROBLEM = 0.02
+"""Share of torn frames: 0 on an idle machine, about 5 % with two DIGITs under load."""
 OLD_DAYS = 30
 """Gels wear and lights age; an older background image should be taken again."""
 MORE_BANDWIDTH = (
@@ -39,6 +42,7 @@ class FrameStatistics:
     ages_s: list[float] = field(default_factory=list)
     sequences: list[int] = field(default_factory=list)
     corrupt: int = 0
+    torn: int = 0
     frozen: int = 0
     stalled: int = 0
     loss: str | None = None
@@ -79,7 +83,7 @@ async def check_sensor(name: str, sensor: TactileSensor, settings: Any, store: S
 
 async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics:
     """Receive frames for a time after the first one, and count errors."""
-    statistics = FrameStatistics()
+    statistics, torn_frames = FrameStatistics(), TornFrames()
     loop = asyncio.get_running_loop()
     begin_s: float | None = None
     end_s = loop.time() + FIRST_FRAME_S
@@ -102,6 +106,7 @@ async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics
             statistics.captured_s.append(frame.captured_at_s)
             statistics.ages_s.append(loop.time() - frame.captured_at_s)
             statistics.sequences.append(frame.sequence)
+            statistics.torn += torn_frames.find(frame.image) is not None
     return statistics
 
 
@@ -121,6 +126,7 @@ def check_frames(statistics: FrameStatistics, configured_hz: float | None) -> It
         interruptions = statistics.frozen + statistics.stalled
         yield check_rate(statistics.rate_hz, configured_hz)
         yield check_losses(len(statistics.sequences), statistics.missed, statistics.corrupt, interruptions)
+        yield check_torn(statistics.torn, len(statistics.sequences))
         yield ok("frame age", f"{describe_times(statistics.ages_s)} from the time stamp to reception")
 
 
@@ -144,6 +150,16 @@ def check_losses(received: int, missed: int, damaged: int, interruptions: int) -
     if share > LOST_PROBLEM or interruptions:
         return problem("lost frames", observed, MORE_BANDWIDTH)
     return note("lost frames", observed, MORE_BANDWIDTH) if share > LOST_NOTE else ok("lost frames", observed)
+
+
+def check_torn(torn: int, received: int) -> CheckResult:
+    """Check how many frames have parts of two captures; both sensors stream meanwhile."""
+    observed = f"{torn} of {received}"
+    if torn == 0:
+        return ok("torn frames", f"{observed}; only motion on the gel shows them")
+    if torn > TORN_PROBLEM * received:
+        return problem("torn frames", f"{observed} (limit {TORN_PROBLEM:.0%})", MORE_BANDWIDTH)
+    return note("torn frames", observed, MORE_BANDWIDTH)
 
 
 def check_background(serial: str, store: StateDir, now: datetime) -> CheckResult:

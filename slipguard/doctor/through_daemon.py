@@ -62,6 +62,8 @@ def check_finger(name: str, samples: DaemonSamples, settings: Any, store: StateD
     yield sensor.check_rate(received / samples.apart_s, getattr(settings, "fps", None))
     count = {one: samples.increase(name, one) for one in ("missed", "corrupt", "frozen", "stalled", "late")}
     yield sensor.check_losses(received, count["missed"], count["corrupt"], count["frozen"] + count["stalled"])
+    since_start = finger["counts"]
+    yield sensor.check_torn(since_start.get("torn", 0), since_start.get("frames", received))
     if count["late"] > LATE_SHARE * received:
         observed = f"{count['late']} of {received} not processed in time (limit {LATE_SHARE:.0%})"
         yield note("late frames", observed, "see the check of the processor")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,17 @@ import pytest
 from pydantic import BaseModel
 
 from slipguard.config import Config, sim_config
+from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
-from slipguard.devices import GripperState
+from slipguard.devices import DriverContext, GripperState
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, problem, problem_from_error
 from slipguard.doctor import gripper, machine, run_checks, sensor, through_daemon
 from slipguard.errors import DeviceLost
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.world import World
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
+from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.stream_setup import DigitSettings
 from slipguard_drivers.robotiq.serial_port import check_adapter
 
@@ -114,6 +119,29 @@ def test_rates(rate_hz: float, asked_hz: float | None, status: str) -> None:
 )
 def test_losses(came: int, lost: int, damaged: int, interruptions: int, status: str) -> None:
     assert sensor.check_losses(came, lost, damaged, interruptions).status == status
+
+
+@pytest.mark.parametrize(("torn", "status"), [(0, "ok"), (2, "note"), (6, "problem")])
+def test_torn_frames(torn: int, status: str) -> None:
+    assert sensor.check_torn(torn, 120).status == status
+
+
+def test_torn_frames_of_a_sensor_are_counted() -> None:
+    async def observe() -> sensor.FrameStatistics:
+        world = World(seed=3)
+        camera = FakeSensor(FakeSensor.Settings(draw="inline"), DriverContext("left", world))
+        pose = GelView("wrench", depth_mm=0.5)
+        world.view = lambda finger, now_s: replace(pose, angle_deg=200.0 * now_s)  # type: ignore[method-assign]
+        model = world.camera("left")
+        world.camera = lambda finger: replace(model, tear_probability=0.4)  # type: ignore[method-assign]
+        await camera.open()
+        statistics = await sensor.observe_frames(camera, 1.0)
+        await camera.close()
+        return statistics
+
+    statistics = run_virtual(observe())
+    assert len(statistics.sequences) > 50
+    assert 5 < statistics.torn < 30
 
 
 def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
