@@ -1,7 +1,7 @@
 """Log entries in the native format of systemd's journal: a priority, text for people, and a field for each value.
 
-    journalctl -u slipguard -p warning                    warnings and faults only
-    journalctl -u slipguard SLIPGUARD_CODE=frames_lost    entries with this value; all fields: -o verbose
+    journalctl -u slipguard -p warning               warnings and faults only
+    journalctl -u slipguard SLIPGUARD_EVENT=fault    entries with this value; all fields: -o verbose
 
 The format is described at https://systemd.io/JOURNAL_NATIVE_PROTOCOL.
 """

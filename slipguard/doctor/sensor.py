@@ -170,6 +170,11 @@ def check_background(serial: str, store: StateDir, now: datetime) -> CheckResult
             store.load_background(serial)
     except InputError as error:
         return problem("background image", str(error), CALIBRATE)
+    return check_background_age(serial, taken_at, now)
+
+
+def check_background_age(serial: str, taken_at: datetime | None, now: datetime) -> CheckResult:
+    """Check when the newest background image was taken. taken_at: None if there is none."""
     if taken_at is None:
         return problem("background image", f"none stored for {serial}", CALIBRATE)
     age = now - taken_at

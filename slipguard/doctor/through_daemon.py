@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
 from slipguard import __version__
 from slipguard.daemon.loop.gel_monitor import GelStatus
-from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem
 from slipguard.doctor import gripper, sensor
@@ -20,11 +19,12 @@ LATE_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class DaemonSamples:
-    """Two responses to `GET /state`, `apart_s` seconds apart."""
+    """Two responses to `GET /state`, `apart_s` seconds apart, and the stored background images by finger."""
 
     before: Mapping[str, Any]
     after: Mapping[str, Any]
     apart_s: float
+    backgrounds: Mapping[str, Any] = field(default_factory=dict)
 
     def increase(self, finger: str, count: str) -> int:
         """Return by how much a count of a finger has risen."""
@@ -49,7 +49,7 @@ def check_daemon(samples: DaemonSamples) -> Iterator[CheckResult]:
         yield note("loop", f"{late} cycles late in {samples.apart_s:.0f} s", "see the check of the processor")
 
 
-def check_finger(name: str, samples: DaemonSamples, settings: Any, store: StateDir) -> Iterator[CheckResult]:
+def check_finger(name: str, samples: DaemonSamples, settings: Any) -> Iterator[CheckResult]:
     """Check one fingertip camera."""
     finger = samples.after["fingers"][name]
     serial = finger["serial"]
@@ -68,7 +68,9 @@ def check_finger(name: str, samples: DaemonSamples, settings: Any, store: StateD
         observed = f"{count['late']} of {received} not processed in time (limit {LATE_SHARE:.0%})"
         yield note("late frames", observed, "see the check of the processor")
     if serial:
-        yield sensor.check_background(serial, store, datetime.now(UTC))
+        versions = samples.backgrounds.get(name, {}).get("versions", [])
+        taken_at = datetime.fromisoformat(versions[-1]["created_at"]) if versions else None
+        yield sensor.check_background_age(serial, taken_at, datetime.now(UTC))
     if finger.get("gel") is not None:
         yield check_gel(finger["gel"])
 

@@ -136,6 +136,14 @@ def test_the_service_grips_and_is_confined(
     assert (owner != "root", group, mode) == (True, "dialout", "660")
 
 
+def test_the_doctor_reports_the_background_images_of_the_service(container: Container) -> None:
+    """They are in the service's state folder, not in that of root."""
+    words = (PROGRAM, "doctor", "--config", "/etc/slipguard/config.toml", "--json")
+    checks = json.loads(container.run(*words).stdout)["checks"]
+    assert [one["status"] for one in checks if one["check"] == "background image"] == ["ok", "ok"]
+    assert not [one for one in checks if one["check"] == "state folder"]
+
+
 def test_the_service_reloads_a_changed_configuration(container: Container, config: Path) -> None:
     config.write_text(config.read_text().replace("[guard]\n", "[guard]\nforce_max_n = 120\n"))
     container.systemctl("reload")
