@@ -115,9 +115,11 @@ class GuardParams(_Table):
     """Who moves the arm: "lift" if slipguard does, "guard" if another program does and slipguard may only pause it."""
 
     tighten_at_rest_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.3
-    """Rotation that is slip while the arm stands; lower it to tighten earlier, raise it if it tightens for nothing."""
+    """Rotation that is slip while the arm stands, and at least six times the noise learned at rest (0.36 degrees at
+    first); lower it to tighten earlier, raise it if it tightens for nothing."""
     tighten_at_lift_off_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.4
-    """The same while the object leaves the table (2.5 times this in a firm grip); stiff pads: 0.3-0.6."""
+    """The same while the object leaves the table (2.5 times this once the force has reached `first_fraction` of the
+    force limit); on stiff pads choose 0.3 to 0.6."""
 
     first_force_n: Force = 40.0
     """First grip; lower it for fragile objects, raise it if every lift begins with a slip."""
@@ -133,7 +135,7 @@ class GuardParams(_Table):
     mass_kg: Annotated[float, Field(gt=0.0, le=20.0)] | None = None
     """Of the object; give it together with `friction`."""
     lever_mm: Annotated[float, Field(ge=0.0, le=500.0)] = 0.0
-    """From the grip to the centre of mass, horizontally; give it with those two if the object is held off-centre."""
+    """From the grip to the center of mass, horizontally; give it with those two if the object is held off-center."""
 
     lift_height_mm: Annotated[float, Field(ge=1.0, le=800.0)] = 100.0
     """Height of a lift that is requested without one; change it to suit your task."""

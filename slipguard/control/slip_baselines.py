@@ -11,7 +11,7 @@ from slipguard.control.params import GuardParams
 SHIFT_TAU_S = 0.05
 """Time constant of the filtered derivative of the shift: three frames at 60 fps."""
 SETTLED_SHIFT_MM = 0.3
-"""A contact centre that wanders less than this is at rest; its noise is about 0.05 mm."""
+"""A contact center that wanders less than this is at rest; its noise is about 0.05 mm."""
 SWITCH_MAX_DEG, SWITCH_MAX_MM = 2.0, 0.5
 """Two fingers differ by no more than this in total; more is motion of the object."""
 

@@ -24,9 +24,10 @@ GROWTH_MAX = 4.0
 SWING_SHARE = 0.5
 """Arms stop with 2.5 m/s2, a quarter of gravity, and a gel without much damping responds with twice that."""
 PLAIN_TIMES = 1.5
-"""In a lift-off a rotation beyond this multiple of its threshold, estimated by both fingers, counts as two frames,"""
+"""In a lift-off, a rotation estimated by both fingers counts as two frames if it exceeds this multiple of its threshold
+and the previous frame already showed BEGUN_SHARE of the threshold. A leap in one frame is a flash of light or a knock.
+"""
 BEGUN_SHARE = 0.25
-"""if the frame before had begun it by this share of the threshold: a single leap is a flash of light or a knock."""
 APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
@@ -92,14 +93,14 @@ def assess_slip(
     memory, new_rest = _follow(memory, fused, arm, params, putting_down=only_outward)
     memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, only_outward)
-    sudden = 0 if new_rest else _sudden(memory, fused, params, rested_deg, firm, only_outward)
+    quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, firm, only_outward)
     slip_mm = (fused.shift_mm or 0.0) - (memory.baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
     rate_mm_s, tuning = memory.shift.rate_mm_s, params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
     times = growth(memory.translations, params)
     translates = slip_mm > tuning.slip_mm * times and (fast or slip_mm > tuning.creep_mm * times)
     if is_new:
-        memory = _count(memory, fused, rotates or rests_further_out or translates, sudden, params)
+        memory = _count(memory, fused, rotates or rests_further_out or translates, quick_frames, params)
     settled_since_s = memory.baselines.settled_since_s
     return SlipAssessment(
         memory=memory,
@@ -108,7 +109,7 @@ def assess_slip(
         slip_mm=slip_mm,
         slip_rate_mm_s=rate_mm_s,
         moving=rate_deg_s >= tuning.slip_rate_deg_s or fast,
-        rotates=rotates or rests_further_out or sudden > 0,
+        rotates=rotates or rests_further_out or quick_frames > 0,
         translates=translates,
         slipping=memory.frames >= tuning.confirm_frames,
         settled_s=memory.captured_s - settled_since_s if settled_since_s is not None else 0.0,
@@ -180,12 +181,13 @@ def _count_from(
     return memory, further_out_from is not None
 
 
-def _count(memory: SlipMemory, fused: FusedEstimate, plain: bool, sudden: int, params: GuardParams) -> SlipMemory:
+def _count(memory: SlipMemory, fused: FusedEstimate, plain: bool, quick_frames: int, params: GuardParams) -> SlipMemory:
     """Return the memory with a new estimate counted: more frames in a row that show slip, or none.
 
-    plain: it shows slip for any motion of the arm. sudden: how many frames it counts for where nothing should move.
+    plain: it shows slip for any motion of the arm. quick_frames: how many frames it counts for where nothing should
+    move.
     """
-    counts = max(int(plain), sudden)
+    counts = max(int(plain), quick_frames)
     again_at_rest = memory.arm.case is ArmCase.REST and memory.frames > 0 and not plain
     waits = counts > 0 and again_at_rest and fused.measured_at_s < memory.counted_s + APART_S
     far = abs(fused.rotation_deg or 0.0) > params.tuning.rotation_max_deg and fused.conflict is None
@@ -242,7 +244,7 @@ def _rotation(
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
 
 
-def _sudden(
+def _quick_frames(
     memory: SlipMemory,
     fused: FusedEstimate,
     params: GuardParams,

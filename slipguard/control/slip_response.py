@@ -189,7 +189,7 @@ def _give_up(state: GraspState, seen: SlipAssessment, observation: Observation, 
     fault = Fault(
         FaultCode.ROTATED_TOO_FAR,
         f"rotated {observation.rotation_deg:.0f}° since it was gripped{rate}",
-        "support the object and release it; grip it nearer to its centre of mass",
+        "support the object and release it; grip it nearer to its center of mass",
     )
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     present_n = target_n = state.grip.target_n

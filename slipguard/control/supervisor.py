@@ -300,7 +300,7 @@ def _no_effect(memory: Supervision, observation: Observation, params: GuardParam
         FaultCode.TIGHTENING_INEFFECTIVE,
         f"{abs(further_deg):.0f}° further and still rotating at {outward_deg_s:.0f}°/s "
         f"{timeout_s:g} s after tightening",
-        "support the object; grip it nearer to its centre of mass",
+        "support the object; grip it nearer to its center of mass",
     )
 
 

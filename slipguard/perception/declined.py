@@ -31,7 +31,7 @@ class DeclineReason(StrEnum):
     OUT_OF_FOCUS = "image out of focus"
     DARK = "image too dark"
     COMPRESSED = "image coarsely compressed"
-    FEW_LEVELS = "image with too few grey levels"
+    FEW_LEVELS = "image with too few gray levels"
     NOISY = "image noisy"
 
 

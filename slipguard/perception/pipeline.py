@@ -48,7 +48,7 @@ class Pipeline:
         segmenter: The segmentation network.
         settings: The section `[perception]` of the configuration.
         background: The unit's background image, (320, 240, 3) uint8, or None: then every frame runs the network.
-        noise: Standard deviation of a pixel, grey levels: (3,) B G R, or an array that averages to it; or None.
+        noise: Standard deviation of a pixel, gray levels: (3,) B G R, or an array that averages to it; or None.
         px_per_mm: Scale of the frame.
         mounting_deg: Counter-clockwise rotation of the sensor's mounting, one of 0, 90, 180, 270; it applies to the
             reported orientation and shift.

@@ -46,7 +46,7 @@ class MarkerPlate:
 
     cells: NDArray[np.uint8]
     side_mm: float
-    centre_mm: tuple[float, float, float]
+    center_mm: tuple[float, float, float]
     roll_deg: float = 0.0
 
 
@@ -167,7 +167,7 @@ class ExternalCameraRenderer:
         cell_mm = plate.side_mm / count
         half = plate.side_mm / 2 + cell_mm
         flat = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]], np.float64)
-        flat = flat @ _rotated(math.radians(plate.roll_deg)).T + np.array(plate.centre_mm)
+        flat = flat @ _rotated(math.radians(plate.roll_deg)).T + np.array(plate.center_mm)
         corners = self.project(flat @ rotation.T + offset_mm)
         low = np.floor(corners.min(0)).astype(int) - 2
         high = np.ceil(corners.max(0)).astype(int) + 3

@@ -22,7 +22,7 @@ SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drif
 """Keys of `as_json` that `--json` prints; `stress.json` in the --out folder contains all of them."""
 PANELS = (
     ("outline", "contour error in network pixels (1 sd)"),
-    ("grey", "white noise on the probability (1 sd)"),
+    ("gray", "white noise on the probability (1 sd)"),
     ("frame noise", "camera noise in gray levels (1 sd), with the network"),
     ("relief noise", "camera noise in gray levels (1 sd), texture only"),
     ("aspect, outline 0 px", "aspect ratio, no contour error"),

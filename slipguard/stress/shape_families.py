@@ -86,7 +86,7 @@ def _begin_equivariance(product: ProductFunctions) -> TrialFunction:
 
 
 def _begin_noise(product: ProductFunctions) -> TrialFunction:
-    levels = [("outline", level) for level in CONTOUR_ERRORS_PX] + [("grey", level) for level in PROBABILITY_NOISES]
+    levels = [("outline", level) for level in CONTOUR_ERRORS_PX] + [("gray", level) for level in PROBABILITY_NOISES]
     names = tuple(ELONGATED)
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:

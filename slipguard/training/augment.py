@@ -17,7 +17,7 @@ from slipguard.perception.quality.background import estimate_background
 STRUCTURE_LEVELS = 28.0
 DRIFT_LEVELS = 16.0
 LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
-"""Largest drift of the lamps in grey levels: constant, x, y, xy, x^2, y^2."""
+"""Largest drift of the lamps in gray levels: constant, x, y, xy, x^2, y^2."""
 BACKGROUND_NOISE_LEVELS = 1.2
 """Camera noise in a background image of a single frame, at network resolution."""
 NOISE_POOL = 64

@@ -1,7 +1,7 @@
 """The small segmentation network: from a frame and the background image to the contact probability.
 
 The network needs the *change* since the unit's background image, so the difference is part of the graph: training and
-use cannot differ. Light drifts by a few grey levels from press to press. A clipped mean over the difference image
+use cannot differ. Light drifts by a few gray levels from press to press. A clipped mean over the difference image
 estimates that level, which is subtracted; a contact patch hardly affects it because its large values are clipped.
 """
 
@@ -16,7 +16,7 @@ from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_
 
 Inputs = Literal["both", "change", "frame"]
 SCALE = 1.0 / 48.0
-"""Grey levels to network units: a strong imprint is about 50 to 100 grey levels."""
+"""Gray levels to network units: a strong imprint is about 50 to 100 gray levels."""
 
 
 def _conv(inputs: int, outputs: int, *, size: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:

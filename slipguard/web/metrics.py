@@ -73,7 +73,7 @@ class _StateCollector(Collector):
             "slipguard_stream_restarts", "Restarts of a camera's stream because of torn frames.", labels=["finger"]
         )
         skipped = CounterMetricFamily(
-            "slipguard_frames_skipped", "Frames processed without the network.", labels=["finger", "reason"]
+            "slipguard_frames_skipped", "Frames for which the network did not run.", labels=["finger", "reason"]
         )
         for finger, state in self._state.get("fingers", {}).items():
             counts = state.get("counts", {})
@@ -100,7 +100,7 @@ class _StateCollector(Collector):
                 stages.add_metric([finger, stage], *_buckets(edges_ms, histogram))
         yield stages
         for name, description in (
-            ("reaction", "From a frame's arrival until no command was found necessary."),
+            ("reaction", "From a frame's arrival to the end of the control step that used it, if it sent no command."),
             ("hold", "From a frame's arrival until its command was sent to the gripper."),
         ):
             family = HistogramMetricFamily(f"slipguard_{name}_seconds", description, labels=[])

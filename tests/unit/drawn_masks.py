@@ -14,17 +14,17 @@ WIDTH, HEIGHT = 120, 160
 def drawn(
     shape: str,
     angle_deg: float = 0.0,
-    centre: tuple[float, float] = (60.0, 80.0),
+    center: tuple[float, float] = (60.0, 80.0),
     scale: float = 1.0,
     ragged_px: float = 0.0,
     seed: int = 0,
 ) -> NDArray[np.float32]:
     """Probability (160, 120) float32 of a shape rotated counter-clockwise about its own origin.
 
-    centre: network pixels, right and down. ragged_px: standard deviation of the outline's place.
+    center: network pixels, right and down. ragged_px: standard deviation of the outline's place.
     """
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH].astype(np.float64)
-    dx, dy = x - centre[0], centre[1] - y
+    dx, dy = x - center[0], center[1] - y
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     u, v = (dx * c + dy * s) / scale, (dy * c - dx * s) / scale
     outside_px = _SHAPES[shape](u, v) * scale

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.vm
 LOOKS = 4
 """The kernel and the driver are measured, not what else this host is doing: the best of several attempts counts."""
 ROTATED_GREY_LEVELS = 4.0
-"""Colors survive YUYV within a grey level or two; an image rotated or mirrored is off by tens."""
+"""Colors survive YUYV within a gray level or two; an image rotated or mirrored is off by tens."""
 
 
 def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:

@@ -52,7 +52,7 @@ class RobotiqSettings(BaseModel):
     slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
     timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
     approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
-    """Share of the full speed (150 mm/s on a 2F-85) at which the fingers close on an object."""
+    """Share of the speed range, 20 to 150 mm/s on a 2F-85, at which the fingers close on an object."""
     fingertip_mm: Annotated[float, Field(ge=0.0, le=40.0)] = 0.0
     """Thickness of the sensor and its mount on each finger; `slipguard ctl fingertips` measures it."""
 

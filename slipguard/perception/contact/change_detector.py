@@ -43,7 +43,7 @@ _OUTSIDE_MIN = 120
 _NOISE_MAX = 2.5
 """Mean square of the difference away from the contact, over the sensor's noise; above it the image has changed."""
 _ROUNDING_SQUARE = 0.25
-"""A block mean between two grey levels flips by 0.5 around its middle, even with a very quiet sensor."""
+"""A block mean between two gray levels flips by 0.5 around its middle, even with a very quiet sensor."""
 _CHANNELS = 3
 
 

@@ -19,13 +19,13 @@ from slipguard.errors import FrameCorrupt
 
 BLOCKS_WIDE, BLOCKS_HIGH = FRAME_WIDTH_PX // 8, FRAME_HEIGHT_PX // 8
 DEFAULT_NOISE_BGR = (2.9, 1.5, 2.4)
-"""Noise of one pixel, grey levels, one standard deviation: measured on two DIGIT units."""
+"""Noise of one pixel, gray levels, one standard deviation: measured on two DIGIT units."""
 BLACK_LEVEL, WHITE_LEVEL = 4, 251
 """A block mean below or above is black or white: there is no image in it."""
 _BLOCK_NOISE_SHARE = 0.37
 """Noise of an 8 x 8 mean over noise of a pixel, at the sensor's lag-1 pixel correlation of 0.65 (white: 0.125)."""
 _ROUNDING_STD = 0.3
-"""Rounding to whole grey levels in three halvings, grey levels."""
+"""Rounding to whole gray levels in three halvings, gray levels."""
 _NEIGHBORS = np.ones((3, 3), np.uint8)
 
 Blocks = NDArray[np.float32]
@@ -73,7 +73,7 @@ class ContactGate:
 
     Args:
         background: (320, 240, 3) uint8 BGR, or None: then every frame may be contact.
-        noise_bgr: Standard deviation of one pixel per channel, grey levels; None: typical values of a DIGIT.
+        noise_bgr: Standard deviation of one pixel per channel, gray levels; None: typical values of a DIGIT.
         gate_noise_factor: Difference of a block, in standard deviations of its noise, above which it may be contact.
     """
 

@@ -13,7 +13,7 @@ ORDER = 4
 ITERATIONS = 6
 GRID_WIDTH_PX, GRID_HEIGHT_PX = 30, 40
 OUTLIER_FLOOR_LEVELS = 4.0
-"""Residuals below this many grey levels (over B, G and R together) do not count as an imprint."""
+"""Residuals below this many gray levels (over B, G and R together) do not count as an imprint."""
 
 
 def _terms(width_px: int, height_px: int) -> NDArray[np.float64]:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.gate import check_frame
 
 DEAD_LEVELS = 16.0
-"""A dead line differs by this much (grey levels, its colors together, median along it) from the lines on both sides.
-Lines of 160 images of real gels differ by 11 at most, and a line stuck at the gel's own grey by 20 and more on most
+"""A dead line differs by this much (gray levels, its colors together, median along it) from the lines on both sides.
+Lines of 160 images of real gels differ by 11 at most, and a line stuck at the gel's own gray by 20 and more on most
 units: it has no color."""
 DEAD_TIMES = 2.5
 """A dead line also differs by this multiple of the median of all lines: an image of noise has no dead lines."""

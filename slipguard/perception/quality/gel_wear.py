@@ -24,7 +24,7 @@ SHIFT_PX = 2
 FINE_PX = 0.8
 """Blur against the remaining noise; a mark of one pixel keeps half of its height."""
 MARK_LEVELS = 6.0
-"""Smallest height of a mark, grey levels, its colors together."""
+"""Smallest height of a mark, gray levels, its colors together."""
 MARK_NOISE = 6.0
 """Smallest height of a mark in standard deviations of the remaining noise."""
 MARK_MIN_PX = 9
@@ -43,7 +43,7 @@ Mean = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class GelMark:
-    """x_px, y_px: its center, right and down. levels: its largest height, grey levels.
+    """x_px, y_px: its center, right and down. levels: its largest height, gray levels.
 
     area_px: changed area on both sides of its edges; for a spot about one and a half times the spot.
     """
@@ -58,7 +58,7 @@ class GelMark:
 class GelChange:
     """Change since the known image.
 
-    level_bgr: increase in brightness, grey levels. uneven_levels: change of the light's pattern beyond that, r.m.s.
+    level_bgr: increase in brightness, gray levels. uneven_levels: change of the light's pattern beyond that, r.m.s.
     gate_share: difference over the contact gate's limit; at 1 the gate takes the light for a contact.
     marks: the strongest first, at most `KEPT_MARKS`. marked_px: area of all marks.
     """
@@ -79,7 +79,7 @@ def compare_gel(
         now: (320, 240, 3) float32 BGR, mean of `now_frames` untouched frames.
         now_frames: Number of frames in `now`.
         known: (320, 240, 3) uint8 BGR, mean of `known_frames`.
-        noise_bgr: Standard deviation of one pixel, grey levels.
+        noise_bgr: Standard deviation of one pixel, gray levels.
         known_frames: Number of frames in `known`.
         gate_noise_factor: Limit of the contact gate.
     """

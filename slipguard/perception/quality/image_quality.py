@@ -1,8 +1,8 @@
 """Image quality: rejects images of a contact on which a rotation estimate would be wrong without a larger sigma.
 
-Rejected are images that are not of this unit's gel, out of focus, too dark, coarsely compressed, with too few grey
+Rejected are images that are not of this unit's gel, out of focus, too dark, coarsely compressed, with too few gray
 levels or too noisy. Sharp structures that stay in place while the contact rotates hold the texture registration back:
-edges of compression blocks, steps between few grey levels. No sigma can account for that.
+edges of compression blocks, steps between few gray levels. No sigma can account for that.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from slipguard.perception.contact.gate import BLACK_LEVEL, BLOCKS_HIGH, BLOCKS_W
 from slipguard.perception.declined import DeclineReason, explain
 
 UNLIKE_LEVELS = 8.0
-"""Away from the contact a frame differs from the background image, apart from an even change of light, by 1-3 grey
+"""Away from the contact a frame differs from the background image, apart from an even change of light, by 1-3 gray
 levels on average, by 4.3 in the worst real lighting drift; swapped colors and a failing lamp give 9 and more."""
 OUTSIDE_MIN = 120
 """Fewer blocks than this outside the contact (a tenth of the frame) show neither its contour nor the light."""
 BRIGHTER_LEVELS = 30.0
-"""Even change of a color's light, grey levels; real and rendered drifts reach 6. The network was trained on no more
+"""Even change of a color's light, gray levels; real and rendered drifts reach 6. The network was trained on no more
 than a few times that."""
 BLOCK_STEP_LEVELS = 4.0
-"""Mean difference from block to block away from the contact, grey levels: 1-2.3 in real frames, 4.6 if a pixel's
+"""Mean difference from block to block away from the contact, gray levels: 1-2.3 in real frames, 4.6 if a pixel's
 noise is 32."""
 SWAPPED_MARGIN = 0.08
 """If the colors are swapped, another order of the channels correlates better with the background image, the three
@@ -44,35 +44,35 @@ and more in rendered ones of many units; 0.3-0.5, on gels with little pattern up
 FINE_MIN = 60
 """Fewer blocks than this away from the contact are not enough for the test of focus."""
 DARK_LEVELS = 25.0
-"""Mean grey level of the image. Real gels have 90 and more; at 9, with the three lights on a few levels, the texture
+"""Mean gray level of the image. Real gels have 90 and more; at 9, with the three lights on a few levels, the texture
 rotates back by a fifth."""
 
 COMPRESSION_BLOCK_PX = 8
 """Blocks of JPEG and motion JPEG; 240 and 320 are whole multiples of them, however the sensor is mounted."""
 LINE_STEP_PX = 4
-"""Step in rows and columns between the pixels tested for compression and grey levels."""
+"""Step in rows and columns between the pixels tested for compression and gray levels."""
 BLOCKINESS_MAX = 4.0
 """Curvature across block borders over that inside blocks: 4.3 and more at JPEG quality 23 on 60 rendered units.
 Images that were never compressed have 0.7-1.5, real gels included; at the quality of motion JPEG (75 and better) 3.1 at
 most; at 60, 3.7."""
 BLOCKINESS_FLOOR_LEVELS = 0.05
-"""Smallest curvature inside blocks, grey levels: an image without any detail is flatter."""
+"""Smallest curvature inside blocks, gray levels: an image without any detail is flatter."""
 
 LEVEL_PIXELS_MIN = 5
-"""A grey level is in use if this many of the 4,800 tested pixels have it: hot pixels fill no gap."""
+"""A gray level is in use if this many of the 4,800 tested pixels have it: hot pixels fill no gap."""
 LEVEL_STEP_MAX = 12.0
-"""Mean step between the grey levels in use: 1.0-1.8 in real gels and in 60 rendered units, 6 if light four times as
+"""Mean step between the gray levels in use: 1.0-1.8 in real gels and in 60 rendered units, 6 if light four times as
 bright has clipped most of it; 32, and sometimes 16, hold rotations back."""
 
 NOISE_ROW_STEP_PX = 16
 NOISE_LEVELS = 16.0
-"""Median second difference along a row for white noise with a standard deviation of ten grey levels (1.65 times it);
+"""Median second difference along a row for white noise with a standard deviation of ten gray levels (1.65 times it);
 2 in real frames of nine units and in forty rendered ones. Edges are too few to count."""
 
 
 @dataclass(frozen=True, slots=True)
 class QualityReport:
-    """difference_levels: mean difference from the background image away from the contact, grey levels.
+    """difference_levels: mean difference from the background image away from the contact, gray levels.
 
     declined: None, or why no rotation may be measured on the image.
     """
@@ -107,16 +107,16 @@ class ImageQuality:
             return report
         declined = None
         if blocks.mean() < DARK_LEVELS:
-            detail = f"mean {blocks.mean():.0f} grey levels, minimum {DARK_LEVELS:.0f}; check the LEDs"
+            detail = f"mean {blocks.mean():.0f} gray levels, minimum {DARK_LEVELS:.0f}; check the LEDs"
             declined = explain(DeclineReason.DARK, detail)
         elif is_coarsely_compressed(image):
             detail = f"blockiness above {BLOCKINESS_MAX:g}; use a JPEG quality of at least 75"
             declined = explain(DeclineReason.COMPRESSED, detail)
         elif has_few_levels(image):
-            detail = f"mean step above {LEVEL_STEP_MAX:g} grey levels; check exposure and gain"
+            detail = f"mean step above {LEVEL_STEP_MAX:g} gray levels; check exposure and gain"
             declined = explain(DeclineReason.FEW_LEVELS, detail)
         elif is_noisy(image):
-            detail = f"half of all second differences above {NOISE_LEVELS:g} grey levels; check light and gain"
+            detail = f"half of all second differences above {NOISE_LEVELS:g} gray levels; check light and gain"
             declined = explain(DeclineReason.NOISY, detail)
         return QualityReport(report.difference_levels, declined)
 
@@ -133,7 +133,7 @@ class ImageQuality:
         return QualityReport(difference_levels, declined)
 
     def difference_levels(self, blocks: Blocks, near: NDArray[np.bool_]) -> float:
-        """Return the mean difference from the background image away from the contact, grey levels.
+        """Return the mean difference from the background image away from the contact, gray levels.
 
         An even change of light does not count: 1-3 in good light. Infinite if the image is not one of this unit's gel,
         or if the contact is black or white. Without a background image light and color order cannot be checked: then 0.
@@ -202,7 +202,7 @@ def blockiness(lines: NDArray[np.int16]) -> float:
 
 
 def _third_difference(lines: NDArray[np.int16], first: int) -> float:
-    """Return the mean, grey levels, over the four pixels from `first` on in every block but the last."""
+    """Return the mean, gray levels, over the four pixels from `first` on in every block but the last."""
     end = lines.shape[1] - COMPRESSION_BLOCK_PX
     a, b, c, d = (lines[:, first + k : end + first + k : COMPRESSION_BLOCK_PX] for k in range(4))
     return float(np.abs(a - d + 3 * (c - b)).mean())
@@ -214,7 +214,7 @@ def has_few_levels(image: NDArray[np.uint8]) -> bool:
 
 
 def level_step(levels: NDArray[np.uint8]) -> float:
-    """Return the mean distance of neighboring grey levels in use; 0 with fewer than two. levels: (n, m) uint8."""
+    """Return the mean distance of neighboring gray levels in use; 0 with fewer than two. levels: (n, m) uint8."""
     used = np.flatnonzero(np.bincount(levels.ravel(), minlength=256) >= LEVEL_PIXELS_MIN)
     return 0.0 if len(used) < 2 else float(used[-1] - used[0]) / (len(used) - 1)
 
@@ -248,7 +248,7 @@ def _clipped_share(image: NDArray[np.uint8]) -> Blocks | None:
 
 
 def _unevenness(blocks: Blocks) -> Blocks:
-    """Return the second difference of blocks along columns, (1140, 3) float32, grey levels.
+    """Return the second difference of blocks along columns, (1140, 3) float32, gray levels.
 
     An even slope of the light and columns that flicker do not contribute.
     """

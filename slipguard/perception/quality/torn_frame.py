@@ -30,7 +30,7 @@ chance, and 2.6 in pairs of real frames that were compressed in blocks."""
 NEAR_PX = (2, 8)
 """Distances of the nearby lines: edges blur over less, blocks of compressed video repeat within."""
 NOISE_FLOOR_LEVELS = 0.05
-"""Assumed noise of a group's step, grey levels, where an image has none."""
+"""Assumed noise of a group's step, gray levels, where an image has none."""
 IN_A_ROW_MAX = 10
 """After this many torn frames the next one counts as good: a sharp line that stays, such as a dead one, is no tear."""
 

@@ -24,7 +24,7 @@ CERTAIN_DEG = 0.8
 """A texture with a smaller sigma that the axis does not contradict needs no contour."""
 LIGHT_FREE_LEVELS = 1.0
 LIGHT_DEG = 0.6
-"""Light that changes after the reference shifts contours: one standard deviation of the rotation per grey level of mean
+"""Light that changes after the reference shifts contours: one standard deviation of the rotation per gray level of mean
 difference from the background image, beyond the first level. A slope of 6 levels over the image gives 2 levels."""
 
 
@@ -171,7 +171,7 @@ def widen_for_light(rotation: RotationEstimate, levels: float) -> RotationEstima
 
     Args:
         rotation: The rotation to widen.
-        levels: Mean difference from the background image, grey levels, minus that of the reference image.
+        levels: Mean difference from the background image, gray levels, minus that of the reference image.
     """
     if rotation.rotation_deg is None or rotation.sigma_deg is None or levels <= LIGHT_FREE_LEVELS:
         return rotation

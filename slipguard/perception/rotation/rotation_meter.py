@@ -77,7 +77,7 @@ class RotationMeter:
         frame_px: Frame pixels per network pixel.
         axes: Estimates the axes of patches.
         background: The unit's background image, (320, 240, 3) uint8, or None: then the texture is not used.
-        noise_bgr: Standard deviation of a pixel, grey levels; None if unknown: sigmas are larger then.
+        noise_bgr: Standard deviation of a pixel, gray levels; None if unknown: sigmas are larger then.
         tracker: Tracks the rotation.
     """
 

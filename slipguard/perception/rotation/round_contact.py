@@ -1,7 +1,7 @@
 """Decides whether a contact is too round to measure its rotation by its axis, its contour or its texture.
 
 Each of the three ways has its own test. A test returns the decline reason with value and limit if the contact is too
-round for that way, and None if it is not. The rotation is declined if no way remains.
+round for that way, and None if it is not. `fusion.py` declines the rotation if none of the three ways remains.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ MOTION_MIN_PX = 2.2
 CONTRAST_MIN = 0.10
 """A rotation by `contour_template.CONTRAST_DEG` must change the blurred contour by this (r.m.s. of probability)."""
 TEXTURE_CHANGE_MIN = 1.3
-FAINT_SHARE = 0.25
-FAINT_LEVELS = 1.2
 """Change of the blurred texture by a rotation of one radian (beyond what shift, scale and gain explain) over the
-texture itself, r.m.s.: 0.3-1.0 for plain balls and rings, rendered and real, 1.4 and more for contacts with a face. A
-faint texture must change more, since noise also has an axis: by this share more at `FAINT_LEVELS` (grey levels per
-pixel, r.m.s.). Real faint balls reach 1.3."""
+texture itself, r.m.s.: 0.3-1.0 for plain balls and rings, rendered and real, 1.4 and more for contacts with a face."""
+FAINT_SHARE = 0.25
+"""A faint texture must change more, since noise also has an axis: by this share at `FAINT_LEVELS`, and with the inverse
+square of the strength. Real faint balls reach a change of 1.3."""
+FAINT_LEVELS = 1.2
+"""Strength of a faint texture, gray levels per pixel, r.m.s."""
 
 
 def round_axis_reason(aspect: float, aspect_min: float) -> str | None:
@@ -47,7 +48,7 @@ def round_texture_reason(change: float, strength_levels: float) -> str | None:
 
     Args:
         change: Change of the texture by a rotation of one radian over the texture itself.
-        strength_levels: R.m.s. of the texture, grey levels per pixel.
+        strength_levels: R.m.s. of the texture, gray levels per pixel.
     """
     limit = TEXTURE_CHANGE_MIN * (1.0 + FAINT_SHARE * (FAINT_LEVELS / max(strength_levels, 1e-3)) ** 2)
     if not change < limit:

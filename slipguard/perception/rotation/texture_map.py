@@ -60,7 +60,7 @@ class ImageWindow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TextureMap:
-    """Curvature in one window: (h, w) float32, grey levels per pixel.
+    """Curvature in one window: (h, w) float32, gray levels per pixel.
 
     noise: effect of the camera's noise on an untouched gel, one standard deviation; 0 if unknown.
     """
@@ -75,7 +75,7 @@ class TextureMapReader:
 
     Args:
         background: The unit's background image, (320, 240, 3) uint8 BGR.
-        noise_bgr: Standard deviation of a pixel, grey levels; None if unknown.
+        noise_bgr: Standard deviation of a pixel, gray levels; None if unknown.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class TextureMapReader:
         return TextureMap(window, _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32)), self._noise)
 
     def _difference(self, image: NDArray[np.uint8], window: ImageWindow) -> Field:
-        """Return frame minus background image in a window, (h, w, 3) float32 grey levels."""
+        """Return frame minus background image in a window, (h, w, 3) float32 gray levels."""
         left, top, right, bottom = window.left_px, window.top_px, window.right_px, window.bottom_px
         crop = image[REDUCTION * top : REDUCTION * bottom, REDUCTION * left : REDUCTION * right]
         now = cv2.resize(crop, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
@@ -141,7 +141,7 @@ def _without_curl(steep: NDArray[np.float64], nominal: NDArray[np.float32]) -> N
 
 
 def _to_slopes(off_rad: float, mirrored: bool) -> NDArray[np.float32]:
-    """Return (2, 3): grey levels B, G, R to slopes, for lights off by `off_rad`; mirrored: in the other sense."""
+    """Return (2, 3): gray levels B, G, R to slopes, for lights off by `off_rad`; mirrored: in the other sense."""
     azimuth = np.radians(np.asarray(LIGHTS_DEG))
     x, y = np.cos(azimuth), np.sin(azimuth) * (-1.0 if mirrored else 1.0)
     c, s = math.cos(off_rad), math.sin(off_rad)

@@ -52,7 +52,7 @@ much as the camera's noise does, as its growth since the reference, and as the d
 by `tests.campaigns.fit_sigma` on rendered rotations of the training objects and on real presses."""
 STATIC, STATIC_FREE_DEG = 5.0, 0.05
 """Share in sigma of the bias by a static pattern, beyond the amount found without one: nine of ten real presses stay
-below. Coarse compression and few grey levels give 0.1-0.4 degrees."""
+below. Coarse compression and few gray levels give 0.1-0.4 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class TextureFit:
     noise_deg: the rotation that would change the texture as much as the camera's noise does. misfit_deg: as much as the
     fit leaves beyond the noise of both images. change: of the texture by a rotation of a radian over the texture
     itself. alike: correlation with the reference. deformed: how far below 1 that is for other reasons than noise.
-    strength: of the reference's texture without noise, grey levels per pixel, r.m.s. declined: None, or why there is no
+    strength: of the reference's texture without noise, gray levels per pixel, r.m.s. declined: None, or why there is no
     rotation. static_bias_deg: by how much a static pattern may have held the rotation back.
     """
 

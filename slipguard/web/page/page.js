@@ -1,4 +1,4 @@
-// The operator page: shows the daemon's live stream. Values that are out of date are greyed and marked.
+// The operator page: shows the daemon's live stream. Values that are out of date are grayed and marked.
 
 import { Commands } from "./commands.js";
 import { Events, showDevices, showTiming } from "./details.js";

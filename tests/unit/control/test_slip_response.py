@@ -242,7 +242,7 @@ def test_one_frame_beyond_is_enough_while_it_slips_and_rotates() -> None:
     assert response.fault is not None
     assert response.fault.code is FaultCode.ROTATED_TOO_FAR
     assert response.fault.observed == "rotated 45° since it was gripped and still rotating at 60°/s"
-    assert response.fault.what_to_do == "support the object and release it; grip it nearer to its centre of mass"
+    assert response.fault.what_to_do == "support the object and release it; grip it nearer to its center of mass"
     assert response.stop_arm
     assert response.hold_n == response.state.grip.target_n == pytest.approx(FORCE_LIMIT_N, abs=0.1)
     assert response.state.grip.commanded_s == NOW_S

@@ -130,7 +130,7 @@ def spoilt(folder: Path, kind: str) -> None:
         image.unlink()
     elif kind == "empty mask file":
         mask.write_bytes(b"")
-    elif kind == "grey image":
+    elif kind == "gray image":
         put(image, disc())
     elif kind == "another shape":
         put(mask, disc(320, 240))
@@ -148,7 +148,7 @@ def spoilt(folder: Path, kind: str) -> None:
         ),
         ("no image", r"masks/b\.png: no image"),
         ("empty mask file", r"masks/b\.png: the file is empty"),
-        ("grey image", r"images/b\.png: gray image. Color is needed"),
+        ("gray image", r"images/b\.png: gray image. Color is needed"),
         ("another shape", r"masks/b\.png: 320x240, its image 240x320"),
         ("many values", r"masks/b\.png: values 0, 1, 2.*0 and 1, or 0 and 255"),
     ],

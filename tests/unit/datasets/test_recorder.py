@@ -179,8 +179,8 @@ def test_a_serial_number_known_only_after_opening_is_used(
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
     monkeypatch.setattr("slipguard.registry.load_driver", lambda group, name: LateSerialSensor)
     if stored:
-        grey = np.full((320, 240, 3), 90, np.uint8)
-        StateDir(None).save_background("D30003", BackgroundImage(grey, (1.0, 1.0, 1.0), 30))
+        gray = np.full((320, 240, 3), 90, np.uint8)
+        StateDir(None).save_background("D30003", BackgroundImage(gray, (1.0, 1.0, 1.0), 30))
     out = tmp_path / "set"
     ran = slipguard(capfd, "dataset", "record", "--serial", "D1", "--out", out, "--count", 2, "--every-s", 0)
     if not stored:

@@ -86,7 +86,7 @@ def test_damage_is_reported_once(stream: FrameStream) -> None:
 @pytest.mark.parametrize(
     "wrong",
     [np.zeros((240, 320, 3), np.uint8), np.zeros((320, 240), np.uint8), np.zeros((320, 240, 3), np.uint16)],
-    ids=["landscape", "grey", "16 bit"],
+    ids=["landscape", "gray", "16 bit"],
 )
 def test_an_image_of_another_type_is_damaged(stream: FrameStream, wrong: NDArray[Any]) -> None:
     stream.put(wrong, 0.1, 1)

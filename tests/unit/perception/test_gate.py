@@ -26,7 +26,7 @@ def glow(seed: int = 0) -> NDArray[np.float64]:
 
 
 def camera(scene: NDArray[np.float64], rng: np.random.Generator) -> Image:
-    """Noise as a DIGIT has it: 2.9, 1.5, 2.4 grey levels, neighbours correlated by 0.65."""
+    """Noise as a DIGIT has it: 2.9, 1.5, 2.4 gray levels, neighbours correlated by 0.65."""
     noise = cv2.GaussianBlur(rng.standard_normal(scene.shape), (0, 0), 0.85)
     return np.clip(scene + noise / noise.std() * DEFAULT_NOISE_BGR, 0, 255).round().astype(np.uint8)
 

@@ -49,7 +49,7 @@ SHOWN = 12
 
 
 def with_levels(image: Image, step: int) -> Image:
-    """The image with every `step`-th grey level only."""
+    """The image with every `step`-th gray level only."""
     return np.asarray(image // step * step, np.uint8)
 
 

@@ -106,7 +106,7 @@ def test_an_estimated_background_follows_the_glow_and_passes_under_a_press() -> 
         np.full((320, 240, 3), np.nan, np.float32),
         np.zeros((1, 1, 3), np.uint8),
     ],
-    ids=["on its side", "grey", "NaN", "one pixel"],
+    ids=["on its side", "gray", "NaN", "one pixel"],
 )
 def test_other_images_are_rejected_with_a_message(segmenter: Segmenter, image: np.ndarray) -> None:
     with pytest.raises(InputError, match=r"\(320, 240, 3\)"):

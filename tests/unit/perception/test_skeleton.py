@@ -13,8 +13,8 @@ Mask = NDArray[np.uint8]
 
 
 def reference(mask: Mask) -> Mask:
-    grey = np.where(mask > 0, 255, 0).astype(np.uint8)
-    return (cv2.ximgproc.thinning(grey, thinningType=cv2.ximgproc.THINNING_GUOHALL) > 0).astype(np.uint8)
+    gray = np.where(mask > 0, 255, 0).astype(np.uint8)
+    return (cv2.ximgproc.thinning(gray, thinningType=cv2.ximgproc.THINNING_GUOHALL) > 0).astype(np.uint8)
 
 
 def drawn(kind: int, rng: np.random.Generator, largest_px: int = 44) -> Mask:

@@ -71,7 +71,7 @@ def test_one_is_heavy_and_one_strongly_curved() -> None:
     camera = GelCamera(SensorUnit())
     image = camera.draw(GelView("ball", x_mm=-1.5, depth_mm=curved.press_mm)).astype(float)
     off = np.abs(image - camera.no_contact())
-    assert off.max() > 90  # the signal range of a real DIGIT is about 100 grey levels
+    assert off.max() > 90  # the signal range of a real DIGIT is about 100 gray levels
 
 
 def test_the_forces_needed_by_the_test_set_are_spread() -> None:

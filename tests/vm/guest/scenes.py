@@ -176,7 +176,7 @@ async def two_sensors() -> dict[str, object]:
 
 
 def likeness(frames: list[Frame], camera: EmulatedCamera) -> float:
-    """Largest distance of a frame from the nearest image that was sent, in mean grey levels."""
+    """Largest distance of a frame from the nearest image that was sent, in mean gray levels."""
     sent = np.stack(camera.images).astype(np.int16)
     return max(float(np.abs(sent - frame.image).mean(axis=(1, 2, 3)).min()) for frame in frames[:3])
 
