@@ -26,8 +26,8 @@ from slipguard_emulators.cell.world_jaws import WorldJaws
 from slipguard_emulators.robotiq.emulator import FAULTS as GRIPPER_FAULTS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.ur5.controller import PAUSED
-from slipguard_emulators.ur5.emulator import FAULTS as ARM_FAULTS
 from slipguard_emulators.ur5.emulator import UrEmulator
+from slipguard_emulators.ur5.faults import FAULTS as ARM_FAULTS
 from slipguard_emulators.ur5.tool import WorldTool
 
 FINGERS = ("left", "right")
