@@ -1,6 +1,6 @@
 """Whether the program on the controller is the control script that this driver has uploaded.
 
-The controller does not tell programs apart, so the script is followed: from its upload until a packet says that no
+The controller does not say whose program runs, so the script is followed: from its upload until a packet says that no
 program runs. A program that runs later is another user's, and is never ended.
 """
 
