@@ -21,10 +21,10 @@ GROUP_PX = 8
 """Pixels along a line are averaged over this length: their noise falls, and no structure of the gel is finer."""
 SIDE_PX = 4
 """Lines on each side whose mean difference is compared with the step."""
-SHARP_MIN, SHARP_MAX = 0.7, 1.3
+SHARP_MIN, SHARP_MAX = 0.7, 1.5
 """Step at a line over the difference between both sides: 1 at a tear. An edge blurred with a standard deviation of
 0.8 pixels reaches 0.3; cameras behind a gel blur more. Thin structures have a step but no difference of the sides."""
-OUTSTANDING_MIN = 4.0
+OUTSTANDING_MIN = 5.0
 """The step, as a multiple of that of 95 % of the lines and of all nearby ones. Without a tear the largest is 1.5 by
 chance, and 2.6 in pairs of real frames that were compressed in blocks."""
 NEAR_PX = (2, 8)

@@ -31,8 +31,9 @@ from tests.campaigns.torn.splices import (
 SHARES = (0.0, 0.05, 0.4)
 TORN_SHARE = 0.25
 """Share of torn frames for the angle errors."""
-CLEAR, CLEAR_SHARE_MIN = ">10", 0.95
-"""Class of difference in which tears must be found, and how many. Tears in the outer four lines cannot be found."""
+CLEAR, CLEAR_SHARE_MIN, CLEAR_COUNT_MIN = ">10", 0.9, 50
+"""Class of difference in which tears must be found, how many, and of how many at least. Tears in the outer four lines
+cannot be found."""
 ERROR_MAX_DEG = 3.0
 """Largest accepted error of an undetected torn frame: less than its grasps rotate in one frame (5 degrees)."""
 
@@ -102,8 +103,8 @@ def violations(found: dict[str, Any]) -> list[str]:
     alarms, detection, errors, lifts = (found[key] for key in ("false_alarms", "detection", "angle_errors", "lifts"))
     lines = [f"{kind}: {bad} of {count} good frames taken for torn" for kind, (bad, count) in alarms.items() if bad]
     for kind, of in detection.items():
-        share = of.get(CLEAR, [1.0])[0]
-        if share < CLEAR_SHARE_MIN:
+        share, _, count = of.get(CLEAR, (1.0, 1.0, 0))
+        if count >= CLEAR_COUNT_MIN and share < CLEAR_SHARE_MIN:
             lines.append(f"{kind}, {CLEAR}: {share:.1%} found (limit {CLEAR_SHARE_MIN:.0%})")
     if errors["false"] or errors["undetected_max_deg"] > ERROR_MAX_DEG:
         lines.append(f"angle errors: {errors}")

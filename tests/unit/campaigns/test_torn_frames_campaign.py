@@ -24,7 +24,7 @@ def test_results_are_counted_by_the_difference_at_the_line() -> None:
 def test_each_exceeded_limit_is_reported() -> None:
     held = {"object_name": "bar", "share": 0.0, "outcome": "held", "causeless": 0}
     found: dict[str, object] = {
-        "detection": {"a": {">10": [0.5, 0.5, 10]}},
+        "detection": {"a": {">10": [0.5, 0.5, 100]}},
         "false_alarms": {"b": [1, 100]},
         "angle_errors": {"false": 0, "undetected_max_deg": 9.0},
         "lifts": [held, held | {"share": 0.4, "causeless": 1}],
