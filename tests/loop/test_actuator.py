@@ -117,7 +117,7 @@ def test_a_lost_device_is_waited_for_and_taken_up_again() -> None:
         motor.failure = DeviceLost("motor: unplugged; plug it in")
         await asyncio.sleep(3.0)
         assert actuator.health.state == "disconnected"
-        assert actuator.health.reason == "motor: unplugged; plug it in"
+        assert actuator.health.reason == "unplugged; plug it in"
         assert actuator.newest is None
         motor.failure = None
         await asyncio.sleep(6.0)
