@@ -13,6 +13,7 @@ from slipguard.config import Config, parse_config
 from slipguard.control.control_step import ControlState, control_step, step
 from slipguard.control.messages import Observation, StepOutput
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
@@ -40,6 +41,7 @@ LOWER_SPEED_MM_S = 150.0
 STATED_LATENCY_S = 0.006
 """With --speed fast an estimate is available this long after its frame."""
 GRIPPED = frozenset({Phase.REFERENCE, Phase.LIFTING, Phase.HOLDING, Phase.FAULT})
+BUSY = frozenset({FaultCode.FRAMES_LOST, FaultCode.LOOP_LATE, FaultCode.MACHINE_BUSY})
 HARD_CASES = {"bar": "heavy", "ball": "saturating"}
 """The hard cases of the paper: a heavy object, and one whose curvature saturates the image."""
 
@@ -140,7 +142,14 @@ async def _lifts(
         with _watched(service, world, record, progress, show, realtime=settings.realtime):
             await _one_lift(service, handlers, world, record, running)
         world.clear(loop.time())
+        if settings.realtime and ended_by_busy_machine(record):
+            break  # the others would end like this one
     return records
+
+
+def ended_by_busy_machine(record: LiftRecord) -> bool:
+    """Return whether a lift in real time ended because this machine was too slow for the cameras or the loop."""
+    return record.why in BUSY or record.why.startswith("cannot grasp: not ready")
 
 
 async def _one_lift(
