@@ -35,6 +35,7 @@ CAMERA_FAULTS = {
     "disconnect": "the camera is unplugged",
     "stall": "no frames come",
     "frozen": "the same image is repeated",
+    "tear": "frames have a part of the previous image; with a probability, such as `fault left.tear 0.05`",
     "corrupt": "frames come damaged",
 }
 POLL_S = 0.05
@@ -51,10 +52,12 @@ class CellWorld(World):
         gripper = GripperDynamics(transaction_s=0.0)
         super().__init__(WorldSettings(gripper=gripper, fingertip_mm=fingertip_mm), seed)
         self._fps = fps
+        self.tears: dict[str, float] = {}
+        """Share of torn frames by finger."""
 
     def camera(self, finger: str) -> CameraModel:
         """Return the camera model with the given rate."""
-        return replace(super().camera(finger), fps=self._fps)
+        return replace(super().camera(finger), fps=self._fps, tear_probability=self.tears.get(finger, 0.0))
 
 
 class CellEmulator(ControlledEmulator):
@@ -199,6 +202,11 @@ class CellEmulator(ControlledEmulator):
             emulator = self.gripper if part == "gripper" else self.arm
             emulator.set_fault(kind, amount)
             return
+        if kind == "tear":
+            if isinstance(amount, int) or not 0.0 <= (amount or 0.0) <= 1.0:
+                raise CommandRefused(f"{name}: {amount} is not a probability; it must be 0.0 to 1.0")
+            self.world.tears[part] = 1.0 if amount is None else amount
+            return
         if amount is not None:
             raise CommandRefused(f"{name}: a camera fails until cleared; give neither probability nor count")
         self.world.faults.fail(part, kind)
@@ -208,6 +216,7 @@ class CellEmulator(ControlledEmulator):
     def clear_fault(self, name: str | None = None) -> None:
         """End one fault, or all. Raises CommandRefused."""
         if name is None:
+            self.world.tears.clear()
             for part in FINGERS:
                 self.world.faults.repair(part)
                 self.cameras[part].plug()
@@ -219,12 +228,16 @@ class CellEmulator(ControlledEmulator):
         if part not in FINGERS:
             (self.gripper if part == "gripper" else self.arm).clear_fault(kind)
             return
+        if kind == "tear":
+            self.world.tears.pop(part, None)
+            return
         self.world.faults.repair(part, kind)
         if kind == "disconnect":
             self.cameras[part].plug()
 
     def _active(self) -> list[str]:
         cameras = [f"{part}.{kind}" for part in FINGERS for kind in sorted(self.world.faults.active(part))]
+        cameras += [f"{part}.tear" for part in self.world.tears]
         parts = (("gripper", self.gripper), ("arm", self.arm))
         return cameras + [f"{part}.{kind}" for part, emulator in parts for kind in emulator.faults.active]
 

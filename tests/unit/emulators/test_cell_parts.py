@@ -149,10 +149,24 @@ async def test_faults_start_with_the_name_of_their_part(tmp_path: Path) -> None:
     assert set(str(cell.state()["faults"]).split(", ")) == {"left.stall", "gripper.late", "arm.freeze"}
     cell.control("clear left.stall")
     assert cell.world.faults.active("left") == frozenset()
-    for words in ("fault left.stall 0.5", "fault late", "fault left.late", "place", "place mug", "clear x", "nonsense"):
+    for words in (
+        "fault left.stall 0.5",
+        "fault left.tear 3",
+        "fault late",
+        "fault left.late",
+        "place",
+        "place mug",
+        "clear x",
+        "nonsense",
+    ):
         with pytest.raises(CommandRefused):
             cell.control(words)
     cell.control("clear gripper.late")
+    cell.control("fault right.tear 0.05")
+    assert cell.world.camera("right").tear_probability == 0.05
+    assert "right.tear" in str(cell.state()["faults"])
+    cell.control("clear right.tear")
+    assert cell.world.camera("right").tear_probability == 0.0
     assert str(cell.state()["faults"]) == "arm.freeze"
     cell.control("place key 2")
     assert cell.state()["object"] == "key"
