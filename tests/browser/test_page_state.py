@@ -84,10 +84,12 @@ async def test_after_a_restart_the_page_reconnects_and_access_has_expired(runnin
     await expect(page.locator("#access")).to_have_text("may command")
     await expect(page.locator("#login")).to_be_hidden()
     await expect(page.locator("#phase")).to_have_text("Holding")
+    await expect(page.locator("#force")).to_have_text("–")  # not known after a restart
+    await expect(page.locator("#force-limit")).to_contain_text("target")
 
 
 async def test_without_a_connection_no_value_is_shown_as_present(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
-    running.held(again=False)
+    running.held()
     page = await open_page()
     await expect(page.locator("#force")).to_have_text(re.compile(r"^\d+ N$"))
     await expect(page.locator("#finger-left canvas")).to_be_visible()
