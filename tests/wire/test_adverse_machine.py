@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import pty
 import resource
@@ -121,28 +120,6 @@ class Terminal:
         os.close(self.writer)
 
 
-class Pipe:
-    """A pipe to a program that does not read."""
-
-    def __init__(self, folder: Path) -> None:
-        self.reader, self.writer = os.pipe()
-
-    def stall(self) -> None:
-        fcntl.fcntl(self.writer, fcntl.F_SETPIPE_SZ, 4096)
-        filler = os.open(f"/proc/self/fd/{self.writer}", os.O_WRONLY | os.O_NONBLOCK)
-        with contextlib.suppress(BlockingIOError):
-            while True:
-                os.write(filler, b"\n")
-        os.close(filler)
-
-    def go_on(self) -> None:
-        return  # as soon as it is read
-
-    def close(self) -> None:
-        os.close(self.reader)
-        os.close(self.writer)
-
-
 class Journal:
     """systemd's journal, which takes no entry. Its receive queue is short."""
 
@@ -166,10 +143,10 @@ class Journal:
         os.close(self.writer)
 
 
-Output = Terminal | Pipe | Journal
+Output = Terminal | Journal
 
 
-@pytest.mark.parametrize("kind", [Terminal, Pipe, Journal])
+@pytest.mark.parametrize("kind", [Terminal, Journal])
 def test_a_log_that_nothing_reads_does_not_stop_the_guard(kind: type[Output], tmp_path: Path) -> None:
     output = kind(tmp_path)
     log = Log(output.reader)
