@@ -244,8 +244,8 @@ def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
     play(Cell("wrench", 1, guard=BRISK), scene)
 
 
-def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> None:
-    """An arm counts from where it was found: after a lost connection the distance to the table is unknown."""
+def test_the_way_down_of_an_arm_that_was_away_follows_from_its_position() -> None:
+    """An arm counts its height from where it was found: after a lost connection only its position is comparable."""
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
@@ -262,10 +262,7 @@ def test_the_height_of_an_arm_that_was_away_is_not_taken_for_the_old_one() -> No
         assert len(lifts) == 1
         await cell.submit(ClearRequest())
         await cell.until(cell.steady)
-        with pytest.raises(CommandRefused, match="give a height"):
-            await cell.submit(LowerRequest())
-        height_mm = cell.truth.height_mm
-        await cell.submit(LowerRequest(height_mm=height_mm))
+        await cell.submit(LowerRequest())
         await cell.until(lambda: cell.phase is Phase.HOLDING)
         assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)
 
