@@ -30,7 +30,7 @@ TOOLS = {
     "dpkg-deb": "dpkg",
 }
 PACKAGES = ("systemd", "udev", "kmod", "mount", "python3-minimal", "libpython3-stdlib", "iproute2")
-WHEELS = ("numpy", "opencv-contrib-python-headless", "pydantic", "pytest", "pytest-asyncio")
+WHEELS = ("numpy", "opencv-contrib-python-headless", "pydantic", "structlog", "pytest", "pytest-asyncio")
 """All that the driver and its contract suite import; in the versions of this environment."""
 BOOT_MODULES = ("virtio_pci", "virtio_blk", "ext4", "crc32c_generic")
 MODULES = ("vivid", "uvcvideo", "vhci-hcd", "ftdi_sio", "cdc-acm", "9pnet_virtio", "9p", "virtio_console", "virtio_rng")
