@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 import re
 import tomllib
 from collections.abc import Iterator
@@ -340,7 +341,8 @@ def test_check_fails_if_the_daemon_could_not_work(
         if expected is None:
             assert ran.code == 0
         else:
-            assert (ran.code, ran.out) == (2, "")
+            assert ran.code == 2
+            assert ran.out == (f"{json.dumps({'error': ran.complaint})}\n" if words else "")
             assert expected.format(here=tmp_path) in ran.err
             assert ran.err.count("\n") == 1
 
