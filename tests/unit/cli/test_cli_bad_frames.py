@@ -64,7 +64,7 @@ def test_a_bad_frame_is_named(kind: str, background: Path, tmp_path: Path, capfd
     assert ran.complaint.startswith(f"{bad}: ")
     assert output in ran.complaint
     assert ran.code == 2
-    assert ran.out == ""
+    assert json.loads(ran.out) == {"error": ran.complaint}
     ran = slipguard(capfd, "measure", background, "--background", bad, "--json")
     assert ran.complaint.startswith(f"{bad}: ")
     assert ran.code == 2
