@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import fcntl
 import os
 import termios
 import threading
-import tty
 from collections.abc import Callable
 from typing import TypeVar
+
+import serial
 
 from slipguard_drivers.robotiq import serial_port
 
@@ -23,6 +23,7 @@ T = TypeVar("T")
 A = TypeVar("A")
 BLOCKED_S = 1.0
 """An adapter that takes longer to open or to close its port is wedged; a good one takes some milliseconds."""
+BAUD = 115200
 READ_BYTES = 4096
 
 
@@ -40,14 +41,14 @@ class SerialLine:
         self._port = port
         self._on_bytes = on_bytes
         self._on_lost = on_lost
-        self._fd: int | None = None
+        self._open_port: serial.Serial | None = None
         self._blocking: asyncio.Future[object] | None = None
         """The open or close that is under way, or the last one."""
 
     @property
     def is_open(self) -> bool:
         """Whether the port is open."""
-        return self._fd is not None
+        return self._open_port is not None
 
     async def open(self) -> None:
         """Open the port. Raises OSError if that fails, PortBlockedError if the adapter does not answer."""
@@ -62,8 +63,8 @@ class SerialLine:
         if not opening.done():
             opening.add_done_callback(self._close_late)
             raise PortBlockedError
-        self._fd = opening.result()
-        asyncio.get_running_loop().add_reader(self._fd, self.receive)
+        self._open_port = opening.result()
+        asyncio.get_running_loop().add_reader(self._open_port.fileno(), self.receive)
 
     async def settled(self) -> bool:
         """Wait until the port is neither being opened nor closed; return False if the adapter blocks that."""
@@ -77,22 +78,22 @@ class SerialLine:
 
     def close(self) -> None:
         """Begin to close the port; no byte is received any more. Idempotent."""
-        fd, self._fd = self._fd, None
-        if fd is not None:
-            asyncio.get_running_loop().remove_reader(fd)
-            self._start(close_port, fd)
+        closing, self._open_port = self._open_port, None
+        if closing is not None:
+            asyncio.get_running_loop().remove_reader(closing.fileno())
+            self._start(close_port, closing)
 
     def write(self, data: bytes) -> None:
         """Send bytes. Raises OSError if the port is closed, or if the adapter takes no bytes."""
-        if self._fd is None or os.write(self._fd, data) != len(data):
+        if self._open_port is None or os.write(self._open_port.fileno(), data) != len(data):
             raise OSError("the port is closed or its buffer is full")
 
     def receive(self) -> None:
         """Pass on the bytes that have arrived; to be called before a decision that depends on a silent line."""
-        if self._fd is None:
+        if self._open_port is None:
             return
         try:
-            data = os.read(self._fd, READ_BYTES)
+            data = os.read(self._open_port.fileno(), READ_BYTES)
         except BlockingIOError:
             return
         except OSError:
@@ -128,38 +129,24 @@ class SerialLine:
         threading.Thread(target=run, name=f"port {self._port}", daemon=True).start()
         return future
 
-    def _close_late(self, opening: asyncio.Future[int]) -> None:
+    def _close_late(self, opening: asyncio.Future[serial.Serial]) -> None:
         """Close a port that was opened after it had been given up."""
         if opening.exception() is None:
             self._start(close_port, opening.result())
 
 
-def open_port(port: str) -> int:
-    """Open a port for exclusive use and set it up; return its file descriptor. Blocks; raises OSError."""
-    fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        tty.setraw(fd, termios.TCSANOW)
-        iflag, oflag, cflag, lflag, _, _, characters = termios.tcgetattr(fd)
-        cflag |= termios.CLOCAL | termios.CREAD
-        cflag &= ~(termios.CSTOPB | termios.CRTSCTS)
-        iflag &= ~(termios.IXOFF | termios.IXANY)
-        speed = termios.B115200
-        termios.tcsetattr(fd, termios.TCSANOW, [iflag, oflag, cflag, lflag, speed, speed, characters])
-        serial_port.lock_out_others(fd)
-        serial_port.request_low_latency(fd)
-        termios.tcflush(fd, termios.TCIOFLUSH)
-    except BaseException as error:
-        os.close(fd)
-        if isinstance(error, termios.error):  # no subclass of OSError
-            raise OSError(*error.args) from None
-        raise
-    return fd
+def open_port(port: str) -> serial.Serial:
+    """Open a port for exclusive use, non-blocking. Blocks if the adapter does not answer; raises OSError."""
+    # inter_byte_timeout: VMIN becomes 1, so that a read without bytes differs from a read of a lost port.
+    opened = serial.Serial(port, BAUD, timeout=0, inter_byte_timeout=0, exclusive=True)
+    serial_port.lock_out_others(opened.fileno())
+    serial_port.request_low_latency(opened.fileno())
+    return opened
 
 
-def close_port(fd: int) -> None:
+def close_port(port: serial.Serial) -> None:
     """Close a port, without waiting for bytes that are still to be sent. Blocks if the adapter does not answer."""
     with contextlib.suppress(OSError, termios.error):
-        termios.tcflush(fd, termios.TCOFLUSH)
+        port.reset_output_buffer()
     with contextlib.suppress(OSError):
-        os.close(fd)
+        port.close()
