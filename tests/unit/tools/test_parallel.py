@@ -107,7 +107,7 @@ signal.signal(signal.SIGINT, InterruptHandler())
 from slipguard.tools.parallel import Workers, each
 def work(item):
     print(item, flush=True)
-    time.sleep(60.0 if item > 2 else 0.01)
+    time.sleep(60.0 if item > 2 else 0.3)  # joblib puts several shorter items into one batch
     return item
 try:
     for result in each(work, list(range(8)), Workers(2)):
