@@ -1,4 +1,4 @@
-"""Torn frames spliced from real frames are found; no real frame is taken for torn, whatever was seen before it."""
+"""Torn frames spliced from real frames are found; no real frame is taken for torn after any other."""
 
 from __future__ import annotations
 

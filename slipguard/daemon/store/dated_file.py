@@ -1,4 +1,4 @@
-"""A state file that knows its age: by the computer's uptime within one start, whatever happens to the clock."""
+"""A state file that knows its age: by the computer's uptime within one start, even if the clock is set."""
 
 from __future__ import annotations
 

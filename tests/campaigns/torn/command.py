@@ -116,7 +116,7 @@ def violations(found: dict[str, Any]) -> list[str]:
 
 
 def _lines(found: dict[str, Any]) -> Iterator[str]:
-    yield "detected share (number) by difference of the captures at the line, grey levels rms:"
+    yield "detected share (number) by difference of the captures at the line, gray levels rms:"
     for kind, of in found["detection"].items():
         yield f"  {kind}: " + ", ".join(f"{name}: {share:.1%} ({count})" for name, (share, _, count) in of.items())
     yield "good frames taken for torn:"

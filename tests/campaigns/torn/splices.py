@@ -26,7 +26,7 @@ FRAME_S = 1.0 / 60.0
 STEPS_DEG = {"still": 0.0, "60°/s": 1.0, "300°/s": 5.0, "1500°/s": 25.0}
 """Rotation from one capture to the next."""
 EDGES_LEVELS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0, 1e3)
-"""Classes of the difference between the captures at the line, grey levels."""
+"""Classes of the difference between the captures at the line, gray levels."""
 _BLUR_PX = 9
 
 _BOXES = {
@@ -125,7 +125,7 @@ def real_captures(folder: Path, pairs: int, seed: int = 0) -> Iterator[Captures]
 
 
 def real_good_pairs(folder: Path) -> Iterator[tuple[str, Image, Image]]:
-    """Yield every ordered pair of frames of one unit: none of them is torn, whatever was seen before it."""
+    """Yield every ordered pair of frames of one unit: none of them is torn after any of the others."""
     for name, images in real_images(folder).items():
         for number, image in enumerate(images):
             for other, before in enumerate(images):

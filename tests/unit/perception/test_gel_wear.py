@@ -125,7 +125,7 @@ def test_more_wear_is_reported_as_a_larger_area() -> None:
     assert heights == sorted(heights)
 
 
-def test_a_change_of_light_is_reported_in_grey_levels() -> None:
+def test_a_change_of_light_is_reported_in_gray_levels() -> None:
     rng, known = np.random.default_rng(2), np.clip(gel(2), 20, 200)
     change = compared(averaged(rng, known + np.array([5.0, -3.0, 0.0])), known)
     assert change.level_bgr == pytest.approx((5.0, -3.0, 0.0), abs=0.2)
