@@ -69,16 +69,16 @@ def replay(
     if kinds:
         raise InputError("--as needs --export FOLDER")
     done = tool.replay(opened, model)
+    if against and not done.on_recorded.ticks:
+        raise SlipguardError("the recordings have no control steps, so nothing was compared")
+    if model is not None and not done.processed:
+        raise SlipguardError(f"--model {model}: no frame was processed, so the network was not used")
     if json:
         print(jsonlib.dumps(_as_json(done)))
     else:
         _print_result(Console(), done, against)
     if against and (done.on_recorded.differences or done.on_frames.differences):
         raise typer.Exit(1)
-    if against and not done.on_recorded.ticks:
-        raise SlipguardError("the recordings have no control steps, so nothing was compared")
-    if model is not None and not done.processed:
-        raise SlipguardError(f"--model {model}: no frame was processed, so the network was not used")
 
 
 def _as_json(done: ReplayResult) -> dict[str, Any]:

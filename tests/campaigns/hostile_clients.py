@@ -18,7 +18,6 @@ from rich.console import Console
 
 from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.terminal import progress_bar
-from slipguard.errors import SlipguardError
 from slipguard.web.host import wait_or_kill
 from slipguard.web.sockets import bind_tcp
 
@@ -82,7 +81,8 @@ def hostile_clients(
             f"{max(found.times_ms):.1f} ms (limit {LIMIT_MS:g} ms); statuses {found.statuses}"
         )
     if found.failure:
-        raise SlipguardError(found.failure)
+        typer.echo(found.failure, err=True)
+        raise typer.Exit(1)
 
 
 async def run_attack(
