@@ -88,6 +88,8 @@ class ArmState:
     protective_stop: bool
     emergency_stop: bool
     measured_at_s: float
+    motion_known: bool = True
+    """Whether the arm reports its motion. If not, every rotation is judged as in motion."""
     position_mm: tuple[float, float, float] | None = None
     """Tool position x, y, z in a frame that outlasts the connection, z up; None if the arm does not report one."""
 

@@ -19,7 +19,7 @@ class NoArmSettings(BaseModel):
 
 
 class NoArm(Arm):
-    """Stands in for an arm: always at rest, never in a safety stop. A slip is met by the grip alone."""
+    """Stands in for an arm that nothing is known about. A slip is met by the grip alone."""
 
     Settings = NoArmSettings
 
@@ -36,8 +36,9 @@ class NoArm(Arm):
         """Do nothing."""
 
     async def state(self) -> ArmState:
-        """Return a state of rest."""
-        return ArmState(0.0, 0.0, False, False, False, asyncio.get_running_loop().time())
+        """Return a state of rest, of which slipguard does not know whether it is true."""
+        now_s = asyncio.get_running_loop().time()
+        return ArmState(0.0, 0.0, False, False, False, now_s, motion_known=False)
 
     async def lift(self, height_mm: float, speed_mm_s: float) -> float:
         """Refuse."""

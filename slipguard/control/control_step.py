@@ -1,6 +1,6 @@
 """One control step: from what is observed to what is commanded. Pure; the daemon calls it once per cycle.
 
-    observation -> supervise        what is wrong now
+    observation -> follow the arm, supervise, watch the object: what is wrong now
                 -> release          granted at once, in every phase
                 -> fault            latched if an object is at stake
                 -> act              what the present phase does (phases.py, slip_response.py)

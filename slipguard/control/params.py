@@ -33,7 +33,7 @@ class GuardTuning(_Table):
     """`[guard.tuning]`: thresholds, speeds and timeouts. "Rotation" is the rotation since the last rest."""
 
     tighten_in_motion_deg: Annotated[float, Field(ge=0.5, le=10.0)] = 2.0
-    """While the arm moves, a rotation below this is never slip."""
+    """While the arm moves, a rotation below this is never slip, except in the first 80 mm of a lift."""
     threshold_sigmas: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0
     """A rotation below this many standard deviations of the estimate is never slip."""
     sigma_threshold_max_deg: Annotated[float, Field(ge=0.5, le=20.0)] = 5.0
@@ -54,7 +54,8 @@ class GuardTuning(_Table):
     """This many measured frames in a row must show the slip."""
 
     first_fraction: Annotated[float, Field(ge=0.1, le=1.0)] = 0.7
-    """The first tightening goes at least to this fraction of `force_max_n`."""
+    """The first tightening goes at least to this fraction of `force_max_n`, or to the force that `friction` and
+    `mass_kg` require."""
     first_multiplier: Annotated[float, Field(ge=1.05, le=3.0)] = 1.3
     """The first tightening multiplies the present force by at least this: one large step beats many small ones."""
     next_multiplier: Annotated[float, Field(ge=1.02, le=3.0)] = 1.25
@@ -88,7 +89,7 @@ class GuardTuning(_Table):
     lost_after_s: Annotated[float, Field(ge=0.02, le=2.0)] = 0.1
     """The object is lost after this time without contact in both fingers, or with nothing between the jaws."""
     frames_timeout_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
-    """Fault after this time without a good frame from either finger."""
+    """Fault if neither finger has delivered a good frame for this time."""
     estimate_timeout_s: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
     """Fault after this time with contradicting fingers, or without any rotation estimate."""
     gripper_timeout_s: Annotated[float, Field(ge=0.1, le=5.0)] = 0.4
@@ -115,8 +116,8 @@ class GuardParams(_Table):
     """Who moves the arm: "lift" if slipguard does, "guard" if another program does and slipguard may only pause it."""
 
     tighten_at_rest_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.3
-    """Rotation that is slip while the arm stands, and at least six times the noise learned at rest (0.36 degrees at
-    first); lower it to tighten earlier, raise it if it tightens for nothing."""
+    """A larger rotation is slip while the arm stands; lower it to tighten earlier, raise it if it tightens for nothing.
+    The limit is never below six times the noise learned at rest, which is 0.36 degrees at first."""
     tighten_at_lift_off_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.4
     """The same while the object leaves the table (2.5 times this once the force has reached `first_fraction` of the
     force limit); on stiff pads choose 0.3 to 0.6."""
@@ -126,7 +127,8 @@ class GuardParams(_Table):
     force_max_n: Force = 130.0
     """Force limit; set it to what gel and object bear. For the gel no limit is published; this holds 1 kg at 100 mm."""
     no_estimate_force_n: Force = Field(default_factory=_no_estimate_force_n)
-    """Grip before a lift without a rotation estimate (round contacts); raise it for heavy ones. Default: 100."""
+    """Grip before a lift without a rotation estimate (round contacts); raise it for heavy ones. Default: 100, within
+    the two forces above."""
     on_no_estimate: Literal["grip", "refuse"] = "grip"
     """Without a rotation estimate: grip with that force, or "refuse" if the lift must not happen unguarded."""
 

@@ -32,8 +32,8 @@ APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
 CHANGE_SHARE = 0.5
-"""Half of a rotation's sigma is the same from frame to frame and cancels in a change; the rest was learned at rest,
-before the lift. At rest itself there is time to be sure."""
+"""In a lift-off only this share of sigma counts towards the threshold: the rest is the same from frame to frame and
+cancels in a change. At rest there is time to be sure, and the whole sigma counts."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -73,7 +73,7 @@ class ArmContext:
             start_mm = arm.height_mm if start_mm is None else min(start_mm, arm.height_mm)
             moved_s = arm.measured_at_s if arm.moving else moved_s
         case = ArmCase.MOVING
-        if arm is not None and start_mm is not None:
+        if arm is not None and arm.motion_known and start_mm is not None:
             if not arm.moving and fused.captured_at_s - moved_s > ARM_SETTLE_S:
                 case = ArmCase.REST
             elif arm.height_mm - start_mm < LIFT_OFF_MM:

@@ -37,7 +37,7 @@ class Supervision:
     Args:
         began_s, stepped_s: the first and the newest step.
         arm_known, gripper_known, frames_known: received since then.
-        resumed_s: the first step after the last gap between two steps that was a fault.
+        resumed_s: time of the first step after the loop last stood still for `cycle_timeout_s`.
         frames_since_s, gripper_since_s, arm_since_s: since when they are missing.
         untrusted, untrusted_since_s: why the rotation estimate cannot be trusted, and since when.
         contradicted_s: when the fingers last contradicted each other.
@@ -214,7 +214,7 @@ def _frames(memory: Supervision, observation: Observation, params: GuardParams) 
 
 
 def _follow_trust(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
-    """Follow why the rotation, estimated when the object was gripped, cannot be trusted now, and since when."""
+    """Note why there is no rotation that can be trusted, and since when, if there was one after the grip."""
     fused, now_s = observation.fused, observation.now_s
     if fused is None or not state.held.referenced or state.phase is Phase.REFERENCE:
         return replace(memory, untrusted=None, untrusted_since_s=None)

@@ -54,7 +54,7 @@ def test_it_is_at_rest_and_never_moves() -> None:
         arm = NoArm(NoArm.Settings(), DriverContext("arm", mode="guard"))
         await arm.open()
         state = await arm.state()
-        assert not any((state.moving, state.protective_stop, state.emergency_stop))
+        assert not any((state.moving, state.protective_stop, state.emergency_stop, state.motion_known))
         await arm.stop()
         with pytest.raises(CommandRefused, match="there is no arm"):
             await arm.lift(10.0, 10.0)

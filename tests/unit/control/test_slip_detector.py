@@ -384,3 +384,9 @@ def test_creep_too_must_be_larger_after_a_tightening() -> None:
     for rotations, rotation_deg, creeps in ((0, 10.0, False), (0, 10.1, True), (1, 15.9, False), (1, 16.1, True)):
         before = changed(BEFORE, rotations=rotations, last_deg=rotation_deg)
         assert assess_slip(before, observation(rotation_deg, 1.0), PARAMS).rotates is creeps
+
+
+@pytest.mark.parametrize(("motion_known", "case"), [(True, ArmCase.REST), (False, ArmCase.MOVING)])
+def test_an_arm_whose_motion_is_unknown_is_judged_as_moving(motion_known: bool, case: ArmCase) -> None:
+    state = ArmState(0.0, 0.0, False, False, False, NOW_S, motion_known=motion_known)
+    assert assess_slip(at_rest(), observation(), PARAMS, arm=state).memory.arm.case is case

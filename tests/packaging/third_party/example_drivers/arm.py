@@ -3,7 +3,7 @@
     state                -> ok HEIGHT_MM SPEED_MM_S MOVING PROTECTIVE_STOP EMERGENCY_STOP
     lift BY_MM SPEED_MM_S, stop, pause -> ok    a new lift replaces the motion; pause stops another program
 
-The controller stops the arm by itself if no request arrives for 0.5 s: slipguard reads the state 50 times per second.
+The controller stops the arm by itself if no request arrives for 0.5 s: slipguard reads the state 40 times per second.
 """
 
 import asyncio
