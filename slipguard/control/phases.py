@@ -45,7 +45,8 @@ def _idle(state: GraspState, observation: Observation, params: GuardParams) -> R
         return _adopt(state, gripper, observation, params)
     if _undecided(state, gripper):
         return state, StepOutput()
-    state = replace(state, adoption=Adoption(done=True, found=state.adoption.found))
+    outdated = state.adoption.outdated and not gripper.active
+    state = replace(state, adoption=Adoption(done=True, found=state.adoption.found, outdated=outdated))
     touched = observation.fused is not None and observation.fused.both_touch
     interrupted = state.hands_off.closing_interrupted
     if params.mode == "guard" and state.guarding and gripper.holding and touched and not interrupted:
@@ -225,7 +226,7 @@ def _adopt_in_fault(
         return replace(state, held=replace(held, referenced=referenced)), None
     if state.adoption.done or gripper is None or _undecided(state, gripper):
         return state, None
-    done = Adoption(done=True, found=state.adoption.found)
+    done = replace(state.adoption, done=True, remembered=None)
     if not gripper.holding or state.hands_off:
         return replace(state, adoption=done), None
     taken, message = _taken_over(state, gripper, observation, params)

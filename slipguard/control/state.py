@@ -216,11 +216,13 @@ class Adoption:
         done: its first state has been used.
         found: an object was found in it; taking it over waits for a finger.
         remembered: the grip before the restart, until done.
+        outdated: a grip from before the restart is too old to be used, and the gripper was not active since.
     """
 
     done: bool = False
     found: bool = False
     remembered: RememberedGrip | None = None
+    outdated: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,8 @@ from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_st
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
 
+MAY_HOLD = ControlState(GraspState(adoption=Adoption(outdated=True)))
+
 
 def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
     shelf = StateDir(tmp_path)
@@ -246,10 +248,10 @@ def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
     assert restore_control_state(StateDir(tmp_path)) == ControlState()
 
 
-def test_an_old_note_counts_as_none(tmp_path: Path) -> None:
+def test_an_old_note_only_says_that_something_may_be_held(tmp_path: Path) -> None:
     shelf, now = StateDir(tmp_path), datetime.now(UTC)
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
-    assert restore_control_state(shelf, now) == ControlState()
+    assert restore_control_state(shelf, now) == MAY_HOLD
     shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
     assert restore_control_state(shelf, now) == ControlState(
         GraspState(adoption=Adoption(remembered=RememberedGrip(90.0, 18.0)))
@@ -277,13 +279,13 @@ def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ahead", [timedelta(minutes=1), timedelta(days=400)])
-def test_a_note_from_the_future_counts_as_none(tmp_path: Path, ahead: timedelta) -> None:
+def test_a_note_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: timedelta) -> None:
     """The clock of a computer with an empty battery, before and after it was set."""
     shelf, now = StateDir(tmp_path), datetime.now(UTC)
     shelf.save_last_grasp(LastGrasp(saved_at=now + ahead, force_n=90.0, width_mm=18.0))
     structlog.reset_defaults()
     with capture_logs() as entries:
-        assert restore_control_state(shelf, now) == ControlState()
+        assert restore_control_state(shelf, now) == MAY_HOLD
     assert "in the future; check the computer's clock" in entries[-1]["reason"]
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 from loop_cell import Cell, play
@@ -10,6 +12,8 @@ from loop_cell import Cell, play
 from slipguard.control.state import Phase
 from slipguard.daemon.api import handlers
 from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, MoveJawsRequest
+from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
+from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import CommandRefused, DeviceTimeout
 from slipguard.sim.world import World, WorldSettings
 
@@ -64,6 +68,53 @@ def test_refused_while_a_finger_sees_contact_unless_the_gels_are_covered() -> No
             await cell.submit(CONFIRMED)
         assert cell.width_mm == 85.0
         await cell.submit(ActivateRequest(confirm=True, force=True))
+
+    play(switched_on(), scene)
+
+
+def test_refused_while_a_finger_cannot_detect_contact() -> None:
+    async def scene(cell: Cell) -> None:
+        with pytest.raises(CommandRefused, match="no sensor was found yet for the left finger"):
+            await cell.submit(CONFIRMED)
+        await cell.ready()
+        assert cell.world is not None
+        cell.world.faults.fail("right", "disconnect")
+        await asyncio.sleep(1.0)
+        with pytest.raises(CommandRefused, match="right finger has no recent estimate"):
+            await cell.submit(CONFIRMED)
+        assert cell.width_mm == 85.0
+        await cell.submit(ActivateRequest(confirm=True, force=True))
+
+    play(switched_on(), scene)
+
+
+def test_the_first_activation_precedes_the_first_calibration() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        for perceiver in cell.perceivers["left"]:
+            perceiver.always_touched = True
+        await cell.submit(CONFIRMED)
+
+    world = World(WorldSettings(step_s=2e-3, gripper_activated=False))
+    play(Cell(world=world, watched=False, calibrated=False), scene)
+
+
+def test_refused_after_a_start_with_an_old_grip_until_the_gripper_was_active(tmp_path: Path) -> None:
+    store = StateDir(tmp_path)
+    store.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC) - timedelta(days=1), force_n=90.0, width_mm=18.0))
+
+    async def scene(cell: Cell) -> None:
+        cell.service._memory = restore_control_state(store)
+        cell.service.observers.append(LastGraspSaver(store, cell.says.append, cell.says.append).add_decision)
+        await cell.ready()
+        await asyncio.sleep(0.2)
+        with pytest.raises(CommandRefused, match="a grip is stored from before the last start"):
+            await cell.submit(CONFIRMED)
+        assert store.load_last_grasp() is not None
+        await cell.submit(ActivateRequest(confirm=True, force=True))
+        await asyncio.sleep(0.2)
+        assert not cell.service.state.adoption.outdated
+        assert store.load_last_grasp() is None
 
     play(switched_on(), scene)
 

@@ -62,6 +62,29 @@ class BackgroundCapture:
                 return name
         return None
 
+    async def may_hold_reason(self) -> str | None:
+        """Return why something may be held; None if both fingers see no contact.
+
+        Before its first background image a finger cannot detect contact: then only a stored grip counts.
+        """
+        adoption = self._service.state.adoption
+        if adoption.outdated or adoption.remembered is not None:
+            return "a grip is stored from before the last start, and it is unknown whether it still is there"
+        for name, finger in self._service.fingers.items():
+            if finger.serial is None:
+                return f"no sensor was found yet for the {name} finger ({finger.health.reason})"
+            try:
+                if not await self._has_background(finger):
+                    continue
+            except InputError as error:
+                return str(error)
+            health, estimate = finger.observe(asyncio.get_running_loop().time())
+            if estimate is None:
+                return f"{name} finger has no recent estimate ({health.why or health.condition.value})"
+            if estimate.contact:
+                return f"{name} finger is in contact"
+        return None
+
     async def restore(self, request: RestoreBackgroundRequest) -> str:
         """Use an older background image again; return a message."""
         name, number = request.finger, request.number

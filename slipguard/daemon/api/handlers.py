@@ -138,11 +138,11 @@ class RequestHandlers(DaemonApi):
         """Activate the gripper and wait until it is active; return a message."""
         self._capture.check_not_running()
         async with _in_time(deadline_s, "activate"):
-            name = None if request.force else await self._capture.finger_in_contact()
-        if name is not None:
+            reason = None if request.force else await self._capture.may_hold_reason()
+        if reason is not None:
             raise CommandRefused(
-                f"cannot activate: {name} finger is in contact, and a held object would drop; remove it, or use "
-                "--force if the gels are covered or taken off"
+                f"cannot activate: {reason}, and a held object would drop; remove it and check the sensors, or use "
+                "--force if the jaws are empty, with the gels covered or taken off"
             )
         await self._service.request(controller_request(request), deadline_s)
         return await self._wait_until_active()

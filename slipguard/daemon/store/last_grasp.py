@@ -64,6 +64,7 @@ def restore_control_state(store: LastGraspStore, now: datetime | None = None) ->
     outdated = last.outdated(now)
     if outdated is not None:
         log.warning("the grip from before the restart is not used", reason=outdated)
+        grasp = replace(grasp, adoption=Adoption(outdated=last.force_n > 0.0))
     else:
         known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm)
         grip = known if last.force_n > 0.0 else None
@@ -128,7 +129,7 @@ class LastGraspSaver:
             applied = force_applied(grasp, gripper)
             grip = RememberedGrip(grasp.grip.target_n, gripper.width_mm, applied, grasp.arm.start_mm)
             self._save(replace(new, grip=grip), decision)
-        elif not held and gripper is not None and not gripper.holding:
+        elif not held and gripper is not None and not gripper.holding and not grasp.adoption.outdated:
             self._save(_SavedGrasp(), decision)
         elif new.latched != self._saved.latched:
             # Whether something is held is unknown now, so the last known grip stays.
