@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 
 import pytest
-from ur_scene import lifting, lost, own_address, put_away, rests, script_commands, speed_of, under_way, until
+from ur_scene import lifting, lost, opened, own_address, put_away, rests, script_commands, speed_of, under_way, until
 
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
@@ -197,3 +197,20 @@ async def test_a_link_lost_during_a_stop(controller: UrEmulator, arm: LiftModeAr
     controller.control("clear")
     assert await regained(arm)
     assert controller.state()["program"] == "<unnamed>"
+
+
+async def test_without_a_process_for_the_worker_the_arm_is_lost_and_can_be_reopened(
+    controller: UrEmulator, arm: LiftModeArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_process() -> None:
+        raise OSError("Cannot allocate memory")
+
+    await under_way(arm, controller)
+    controller.control("fault protective_stop")
+    await reported_stop(arm)
+    with monkeypatch.context() as patch:
+        patch.setattr(arm._worker, "start_spare", no_process)
+        controller.control("clear")
+        assert "OSError: Cannot allocate memory" in await lost(arm)
+    await opened(arm)
+    await arm.state()

@@ -215,6 +215,8 @@ class LiftModeArm(Arm):
                 await self._beat()
         except DeviceError as error:
             self._lose(str(error))
+        except Exception as error:  # such as OSError: no process for the worker could be started
+            self._lose(f"{self._name}: the heartbeat has failed ({type(error).__name__}: {error}); open the arm again")
 
     async def _beat(self) -> None:
         age_s = self._monitor.age_s
