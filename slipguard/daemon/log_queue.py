@@ -25,7 +25,7 @@ class LogQueue(Generic[E]):
     """A bounded queue with one writing thread, which starts with the first entry.
 
     Args:
-        write: Writes one entry; may block, and may raise OSError or ValueError, which loses the entry.
+        write: Writes one entry; may block; an exception loses the entry.
         on_lost: Called in the thread with the number of lost entries and the seconds for which the output was blocked.
         entries_max: How many entries may wait.
     """
@@ -83,10 +83,11 @@ class LogQueue(Generic[E]):
                 lost, room = self.lost - self._reported, len(self._waiting) < self._entries_max - 1
             if lost and room:
                 self._reported += lost
-                self._on_lost(lost, blocked_s)
+                with contextlib.suppress(Exception):
+                    self._on_lost(lost, blocked_s)
                 blocked_s = 0.0
             started_s = time.monotonic()
-            with contextlib.suppress(OSError, ValueError):
+            with contextlib.suppress(Exception):  # the thread must go on: there is no other
                 self._write(entry)
             blocked_s = max(blocked_s, time.monotonic() - started_s)
 

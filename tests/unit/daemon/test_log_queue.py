@@ -119,3 +119,24 @@ def test_a_closed_queue_takes_no_line() -> None:
     queue.put("two")
     assert queue.flush(30.0)
     assert written == ["one"]
+
+
+def test_no_error_of_the_output_ends_the_thread() -> None:
+    written, release = list[str](), threading.Event()
+
+    def write(entry: str) -> None:
+        assert release.wait(30.0)
+        if entry == "bad":
+            raise TypeError(entry)
+        written.append(entry)
+
+    def fail(lines: int, blocked_s: float) -> None:
+        raise RuntimeError(f"{lines} lines are lost")
+
+    queue = LogQueue[str](write, fail, entries_max=2)
+    for entry in ("one", "two", "three", "bad", "last"):
+        queue.put(entry)
+    release.set()
+    assert queue.flush(30.0)
+    assert queue.lost > 0
+    assert written[-1] == "last"
