@@ -14,10 +14,15 @@ from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest
 
-FAILURES = [TypeError("'NoneType' object is not subscriptable"), MemoryError(), ExceptionGroup("two", [OSError(5)])]
+FAILURES = [
+    TypeError("'NoneType' object is not subscriptable"),
+    MemoryError(),
+    ExceptionGroup("two", [OSError(5)]),
+    asyncio.CancelledError(),
+]
 
 
-def raising(error: Exception) -> Callable[..., object]:
+def raising(error: BaseException) -> Callable[..., object]:
     async def fail(*arguments: object) -> object:
         raise error
 
@@ -35,7 +40,7 @@ def reported(cell: Cell, device: str, what: str) -> bool:
 @pytest.mark.parametrize("error", FAILURES)
 @pytest.mark.parametrize(("device", "code"), [("gripper", FaultCode.GRIPPER_SILENT), ("arm", FaultCode.ARM_SILENT)])
 def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
-    device: str, code: FaultCode, error: Exception
+    device: str, code: FaultCode, error: BaseException
 ) -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
@@ -59,7 +64,7 @@ def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
 
 @pytest.mark.parametrize("error", FAILURES)
 @pytest.mark.parametrize("method", ["open", "close", "next_frame"])
-def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: str, error: Exception) -> None:
+def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: str, error: BaseException) -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
@@ -81,7 +86,7 @@ def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: st
 
 
 @pytest.mark.parametrize("error", FAILURES)
-def test_a_pipeline_that_raises_pauses_and_is_tried_again(error: Exception) -> None:
+def test_a_pipeline_that_raises_pauses_and_is_tried_again(error: BaseException) -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         pipeline, calls = cell.perceivers["left"][-1], 0

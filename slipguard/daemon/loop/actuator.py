@@ -10,7 +10,7 @@ from typing import Generic, Protocol, TypeGuard, TypeVar
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
-from slipguard.daemon.loop.driver_failure import close_contained, failure_reason
+from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained, failure_reason
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 
 S_co = TypeVar("S_co", covariant=True)
@@ -100,7 +100,8 @@ class Actuator(Generic[S]):
                     if self._is_stop(pending):
                         self._commands.put(pending)
                     await self._serve()
-                except Exception as error:
+                except DRIVER_ERRORS as error:
+                    raise_if_cancelled()
                     self.health.set_disconnected(failure_reason(self._device, error, self.health))
                     self.newest = None
                     self._on_change()
@@ -132,7 +133,8 @@ class Actuator(Generic[S]):
     async def _try_stop(self, stop: Action) -> None:
         try:
             await stop()
-        except Exception as error:
+        except DRIVER_ERRORS as error:
+            raise_if_cancelled()
             reason = failure_reason(self._device, error, self.health)
             if reason != self._reported:
                 self._reported = reason

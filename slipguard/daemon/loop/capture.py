@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
-from slipguard.daemon.loop.driver_failure import close_contained, failure_reason
+from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained, failure_reason
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen
 
@@ -135,7 +135,8 @@ class SensorCapture:
         while True:
             try:
                 await self._stream()
-            except Exception as error:
+            except DRIVER_ERRORS as error:
+                raise_if_cancelled()
                 self.streaming = False
                 self.newest_frame = None
                 self.health.set_disconnected(failure_reason(self.sensor, error, self.health))

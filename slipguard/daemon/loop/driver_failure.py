@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import traceback
 from pathlib import Path
 from typing import Protocol
 
 import structlog
 
+from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.device_health import Health
 from slipguard.errors import SlipguardError
 
 log = structlog.get_logger()
+DRIVER_ERRORS = (Exception, asyncio.CancelledError)
+"""A driver may raise CancelledError itself, for example where a library cancels a future: call `raise_if_cancelled`."""
 
 
 class Closable(Protocol):
@@ -20,7 +24,7 @@ class Closable(Protocol):
     async def close(self) -> None: ...
 
 
-def failure_reason(source: object, error: Exception, health: Health) -> str:
+def failure_reason(source: object, error: BaseException, health: Health) -> str:
     """Return in one line why a device failed.
 
     An unexpected exception is an error in the code of `source`: the line names its class and the place, and the first
@@ -43,5 +47,7 @@ async def close_contained(device: Closable, health: Health) -> None:
     """Close a device; an exception, which the ports do not allow, is logged."""
     try:
         await device.close()
-    except Exception as error:
+    except DRIVER_ERRORS as error:
+        if isinstance(error, asyncio.CancelledError):
+            raise_if_cancelled()
         log.error(f"{health.name}: error while closing {type(device).__qualname__}", exc_info=error)

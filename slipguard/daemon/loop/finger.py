@@ -8,11 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
+from slipguard.cancellation import raise_if_cancelled
 from slipguard.control.messages import Condition, FingerHealth
 from slipguard.daemon.loop.async_tools import Backoff
 from slipguard.daemon.loop.capture import SensorCapture, StreamRestarts
 from slipguard.daemon.loop.device_health import Health
-from slipguard.daemon.loop.driver_failure import failure_reason
+from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, failure_reason
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import FrameTorn, SlipguardError
 from slipguard.perception.contact.patch import Patch
@@ -211,7 +212,8 @@ class Finger:
                 estimate = self._kept_estimate(frame, pipeline)
                 if estimate is None:
                     estimate = await self._worker.run(pipeline.process, frame)
-            except Exception as error:
+            except DRIVER_ERRORS as error:
+                raise_if_cancelled()
                 reason = failure_reason(pipeline, error, self.health)
                 capture.refuse_frame(reason, torn=isinstance(error, FrameTorn))
                 self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=reason))
