@@ -45,8 +45,12 @@ def _idle(state: GraspState, observation: Observation, params: GuardParams) -> R
         return _adopt(state, gripper, observation, params)
     if _undecided(state, gripper):
         return state, StepOutput()
+    before = state.adoption.remembered
     outdated = state.adoption.outdated and not gripper.active
     state = replace(state, adoption=Adoption(done=True, found=state.adoption.found, outdated=outdated))
+    if before is not None:
+        gone = Text.NOT_HELD_ANY_MORE.message(known_n=before.force_n, width_mm=before.width_mm)
+        return state, StepOutput(messages=(gone,), is_warning=True)
     touched = observation.fused is not None and observation.fused.both_touch
     interrupted = state.hands_off.closing_interrupted
     if params.mode == "guard" and state.guarding and gripper.holding and touched and not interrupted:
@@ -198,8 +202,8 @@ def _report_other_faults(
 
 
 def _undecided(state: GraspState, gripper: GripperState) -> bool:
-    """Return whether jaws that held an object before a restart still move: they may be tightening on it."""
-    return state.waits_for_gripper and gripper.moving and not gripper.holding
+    """Return whether the jaws still move after a restart: they may be closing or tightening on an object."""
+    return not state.adoption.done and gripper.moving and not gripper.holding
 
 
 def _adopt(state: GraspState, gripper: GripperState, observation: Observation, params: GuardParams) -> Result:

@@ -43,6 +43,9 @@ class Text(Enum):
         "an object is already held with {force}: taken over; the {known_n:.0f} N requested before the restart "
         "are commanded again"
     )
+    NOT_HELD_ANY_MORE = (
+        "before the restart an object was held with {known_n:.0f} N at {width_mm:.0f} mm; the gripper reports none now"
+    )
     # the arm
     LIFTING = "lifting by {height_mm:g} mm"
     LOWERING = "lowering by {height_mm:.0f} mm"

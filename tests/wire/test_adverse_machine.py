@@ -146,6 +146,7 @@ class Journal:
 Output = Terminal | Journal
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("kind", [Terminal, Journal])
 def test_a_log_that_nothing_reads_does_not_stop_the_guard(kind: type[Output], tmp_path: Path) -> None:
     output = kind(tmp_path)
@@ -192,6 +193,7 @@ def test_a_state_folder_that_cannot_be_written_is_reported_and_the_guard_goes_on
         assert daemon.stop() == 0
 
 
+@pytest.mark.campaign
 def test_a_suspended_process_latches_the_true_reason_and_holds(tmp_path: Path) -> None:
     with running(tmp_path) as (daemon, _):
         daemon.grasp()
@@ -217,6 +219,7 @@ def test_a_suspended_process_latches_the_true_reason_and_holds(tmp_path: Path) -
         assert daemon.stop() == 0
 
 
+@pytest.mark.campaign
 def test_a_dead_disk_does_not_keep_the_process_from_ending(tmp_path: Path) -> None:
     with running(tmp_path, "dead-disk") as (daemon, log):
         until(lambda: not daemon.state().get("waiting_for", True), "no start", daemon.state)

@@ -53,6 +53,7 @@ def ask_the_doctor(there: Cell, capfd: pytest.CaptureFixture[str]) -> dict[tuple
     return {(one["subject"], one["check"]): one for one in json.loads(capfd.readouterr().out)["checks"]}
 
 
+@pytest.mark.campaign
 @pytest.mark.realtime
 def test_a_lift_by_slipguard(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -82,6 +83,7 @@ def test_a_lift_by_slipguard(
         assert not [line for line in there.truth() if line["dropped"]]
 
 
+@pytest.mark.campaign
 @pytest.mark.realtime
 def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
     with cell(tmp_path, own_address(63), *OPTIONS, "--mode", "guard", "--play-again-s", 1.0) as there:

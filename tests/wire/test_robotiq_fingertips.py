@@ -96,3 +96,16 @@ async def test_the_doctor_says_so(emulator: RobotiqEmulator) -> None:
         found = {one.check: one async for one in gripper.diagnose(owned=False)}
         assert found["fingertips"].status == status
         assert words in found["fingertips"].observed
+
+
+async def test_a_limit_set_while_an_object_is_held_does_not_open_the_jaws(emulator: RobotiqEmulator) -> None:
+    gripper = await driver(emulator, 0.0)
+    put(emulator, 3.0)
+    assert await closed(gripper) == (True, False)
+    width_mm = float(str(emulator.state()["width_mm"]))
+    await gripper.close()
+    gripper = await driver(emulator, TIP_MM + 4.0)
+    await gripper.hold(130.0)
+    await until_it_rests(gripper)
+    assert float(str(emulator.state()["width_mm"])) == pytest.approx(width_mm, abs=0.2)
+    await gripper.close()

@@ -195,6 +195,7 @@ class RobotiqGripper(Gripper):
             status = await self._ready_status(deadline_s)
             closing = status.going and status.position_echo >= self._model.goal_count
             holding, moving, goal = self._jaws.holding, self._jaws.moving, self._model.goal_count
+            goal = max(goal, status.position)  # the limit may have been set since: a grip never opens
             gripping = holding or (closing and moving)
             if gripping and self._applied is not None:
                 if force <= self._applied and closing:

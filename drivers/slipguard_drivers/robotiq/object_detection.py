@@ -89,7 +89,7 @@ class ObjectDetection:
         meaningful = self._decided or self._newest is None
         if meaningful and status.motion is not FingerMotion.MOVING:
             gels_met = self._model.fingertip_mm > 0.0 and self._is_closed(status)
-            return status.stopped_on_object and not gels_met
+            return status.stopped_on_object and (known or not gels_met)  # a soft object may yield until the gels meet
         return inward and known
 
     def _is_closed(self, status: RobotiqStatus) -> bool:

@@ -137,8 +137,11 @@ class SerialLine:
 
 def open_port(port: str) -> serial.Serial:
     """Open a port for exclusive use, non-blocking. Blocks if the adapter does not answer; raises OSError."""
-    # inter_byte_timeout: VMIN becomes 1, so that a read without bytes differs from a read of a lost port.
-    opened = serial.Serial(port, BAUD, timeout=0, inter_byte_timeout=0, exclusive=True)
+    try:
+        # inter_byte_timeout: VMIN becomes 1, so that a read without bytes differs from a read of a lost port.
+        opened = serial.Serial(port, BAUD, timeout=0, inter_byte_timeout=0, exclusive=True)
+    except termios.error as error:  # the adapter went while it was set up; no subclass of OSError
+        raise OSError(*error.args) from None
     serial_port.lock_out_others(opened.fileno())
     serial_port.request_low_latency(opened.fileno())
     return opened

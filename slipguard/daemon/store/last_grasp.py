@@ -28,6 +28,7 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.dated_file import save_time
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.daemon.store.state_dir import LastGrasp
+from slipguard.devices import GripperState
 from slipguard.errors import SlipguardError
 
 REFRESH_S = 300.0
@@ -75,6 +76,7 @@ def restore_control_state(store: LastGraspStore, now: datetime | None = None) ->
             phase=Phase.FAULT,
             fault=last.fault,
             hands_off=HandsOff(last.release_requested, last.closing_interrupted),
+            person=PersonNear(last.person_near),
         )
     return ControlState(grasp)
 
@@ -129,7 +131,7 @@ class LastGraspSaver:
             applied = force_applied(grasp, gripper)
             grip = RememberedGrip(grasp.grip.target_n, gripper.width_mm, applied, grasp.arm.start_mm)
             self._save(replace(new, grip=grip), decision)
-        elif not held and gripper is not None and not gripper.holding and not grasp.adoption.outdated:
+        elif not held and _nothing_held(grasp, gripper):
             self._save(_SavedGrasp(), decision)
         elif new.latched != self._saved.latched:
             # Whether something is held is unknown now, so the last known grip stays.
@@ -161,6 +163,12 @@ class LastGraspSaver:
                 closing_interrupted=new.closing_interrupted,
             )
         )
+
+
+def _nothing_held(grasp: GraspState, gripper: GripperState | None) -> bool:
+    """Return whether it is certain that nothing is held; not while a grip from before a restart is undecided."""
+    decided = grasp.adoption.done and not grasp.adoption.outdated
+    return decided and gripper is not None and not gripper.holding
 
 
 def _differs(one: _SavedGrasp, other: _SavedGrasp) -> bool:

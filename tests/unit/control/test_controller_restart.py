@@ -373,3 +373,23 @@ def test_where_a_lift_began_is_remembered_for_a_restart() -> None:
     assert play.grasp.arm.start_mm is None
     play.step(RequestKind.LIFT)
     assert (play.grasp.arm.ground_mm, play.grasp.arm.start_mm) == (5.0, START_MM)
+
+
+def test_what_the_gripper_no_longer_reports_is_named() -> None:
+    play = restarted(RememberedGrip(110.0, WIDTH_MM))
+    play.jaws = gripper(0.0, holding=False)
+    first = play.step()
+    assert (first.text, first.is_warning) == (
+        f"before the restart an object was held with 110 N at {WIDTH_MM:.0f} mm; the gripper reports none now",
+        True,
+    )
+    assert (play.grasp.phase, play.grasp.adoption.remembered, play.step().text) == (Phase.IDLE, None, None)
+
+
+def test_jaws_that_close_while_the_controller_starts_are_waited_for() -> None:
+    play = restarted(None)
+    play.jaws = gripper(0.0, holding=False, moving=True)
+    assert not any(command.text for command in play.steps(0.5))
+    play.jaws = gripper(40.0)
+    play.step()
+    assert play.grasp.phase in (Phase.REFERENCE, Phase.HOLDING)

@@ -106,6 +106,14 @@ def test_gels_that_meet_are_recognized_by_their_width(beyond: int, expected: obj
     assert Jaws(model).rested(ARRIVED, goal, goal).see(ARRIVED, goal, goal) == NOTHING
 
 
+def test_a_soft_object_that_yields_until_the_gels_almost_meet_stays_held() -> None:
+    model = replace(MODEL_2F85, fingertip_mm=15.0)
+    goal = model.goal_count
+    jaws = Jaws(model).rested(ON_OBJECT, goal, goal - 8)
+    for position in range(goal - 8, goal):
+        assert jaws.see(ON_OBJECT, goal, position, after_s=OBJECT_LAG_S) == HELD
+
+
 def test_what_is_held_at_the_start_is_held_at_once() -> None:
     jaws = Jaws()
     assert jaws.see(ON_OBJECT, 255, OBJECT) == TIGHTENING
