@@ -57,7 +57,7 @@ async def reported_stop(arm: Arm) -> ArmState:
             await asyncio.sleep(0.005)
 
 
-async def regained(arm: Arm, within_s: float = 4.0) -> ArmState:
+async def regained(arm: Arm, within_s: float = 15.0) -> ArmState:
     """Wait until the state reports no stop; the arm is never lost meanwhile."""
     async with asyncio.timeout(within_s):
         while True:
