@@ -2,7 +2,7 @@
 
 A lookup on a dead name server blocks its thread for 5 to 30 s and cannot be cancelled. In the default executor a few of
 them would keep frames from being decoded and state from being written. Here a name has one thread at most, which does
-not delay the end of the program, and the last known address is used while it waits.
+not delay the end of the program. A known address is used at once, and looked up again for the next time.
 """
 
 from __future__ import annotations
@@ -12,9 +12,6 @@ import contextlib
 import ipaddress
 import socket
 import threading
-
-LAST_ADDRESS_AFTER_S = 0.2
-"""If a lookup takes longer, the last known address is used."""
 
 
 class HostLookup:
@@ -28,20 +25,18 @@ class HostLookup:
     async def resolve(self, host: str) -> str:
         """Return the numeric address of a host. Raises OSError (`socket.gaierror`) for an unknown name.
 
+        A known address is returned at once, because a stop has no time for a lookup; a newer one serves the next call.
         Waits as long as the lookup takes if no address is known yet, so call it with a time-out.
         """
         try:
             return str(ipaddress.ip_address(host))
         except ValueError:
             pass
-        known = self._known.get(host)
-        try:
-            async with asyncio.timeout(LAST_ADDRESS_AFTER_S if known is not None else None):
-                return await self._look_up(host)
-        except (OSError, TimeoutError):
-            if known is None:
-                raise
-            return known
+        known, newest = self._known.get(host), self._look_up(host)
+        if known is None:
+            return await newest
+        newest.cancel()  # only this answer: the lookup goes on
+        return known
 
     def _look_up(self, host: str) -> asyncio.Future[str]:
         loop = asyncio.get_running_loop()
@@ -51,7 +46,10 @@ class HostLookup:
             waiting = [one for one in self._waiting.get(host, []) if not one[1].done()]
             self._waiting[host] = [*waiting, (loop, answer)]
         if not under_way:
-            threading.Thread(target=self._run, args=(host,), name=f"lookup of {host}", daemon=True).start()
+            try:
+                threading.Thread(target=self._run, args=(host,), name=f"lookup of {host}", daemon=True).start()
+            except RuntimeError as error:
+                self._answer(host, OSError(f"cannot look up {host} ({error})"))
         return answer
 
     def _run(self, host: str) -> None:
@@ -60,8 +58,13 @@ class HostLookup:
             addresses = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
             addresses.sort(key=lambda address: address[0] != socket.AF_INET)
             found = self._known[host] = str(addresses[0][4][0])
-        except (OSError, UnicodeError) as error:  # UnicodeError: no valid name
-            found = error if isinstance(error, OSError) else OSError(f"no valid host name ({error})")
+        except OSError as error:
+            found = error
+        except Exception as error:  # such as UnicodeError, or ValueError for a null character
+            found = OSError(f"no valid host name ({error})")
+        self._answer(host, found)
+
+    def _answer(self, host: str, found: str | OSError) -> None:
         with self._lock:
             waiting = self._waiting.pop(host)
         for loop, answer in waiting:

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from slipguard.errors import DeviceLost
-from slipguard_drivers import host_lookup
 from slipguard_drivers.host_lookup import HostLookup
 from slipguard_drivers.ur5 import rtde
 
@@ -62,13 +61,43 @@ async def test_a_dead_name_server_takes_one_thread_of_its_own(
 
 
 async def test_the_last_known_address_is_used_while_the_name_server_is_dead(
-    server: NameServer, monkeypatch: pytest.MonkeyPatch
+    server: NameServer,
 ) -> None:
-    monkeypatch.setattr(host_lookup, "LAST_ADDRESS_AFTER_S", 0.05)
     lookup = HostLookup()
     server.alive.set()
     assert await lookup.resolve("robot.example") == "192.0.2.10"
     server.alive.clear()
+    known = lookup.resolve("robot.example")
+    with pytest.raises(StopIteration) as returned:
+        known.send(None)
+    assert returned.value.value == "192.0.2.10", "without waiting: a stop has 0.3 s"
+    assert server.asked == 2, "the address is looked up again for the next time"
+
+
+async def test_a_name_that_no_lookup_takes_is_an_error_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*details: object, **options: object) -> list[Address]:
+        raise ValueError("embedded null character")
+
+    monkeypatch.setattr(socket, "getaddrinfo", refuse)
+    lookup = HostLookup()
+    for _ in range(2):
+        async with asyncio.timeout(10.0):
+            with pytest.raises(OSError, match="no valid host name"):
+                await lookup.resolve("robot.example")
+
+
+async def test_without_a_thread_the_lookup_fails_and_can_be_repeated(
+    server: NameServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_thread(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    lookup = HostLookup()
+    server.alive.set()
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", no_thread)
+        with pytest.raises(OSError, match="can't start new thread"):
+            await lookup.resolve("robot.example")
     assert await lookup.resolve("robot.example") == "192.0.2.10"
 
 
