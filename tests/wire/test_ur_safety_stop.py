@@ -214,3 +214,14 @@ async def test_without_a_process_for_the_worker_the_arm_is_lost_and_can_be_reope
         assert "OSError: Cannot allocate memory" in await lost(arm)
     await opened(arm)
     await arm.state()
+
+
+async def test_an_arm_reopened_after_a_stop_still_moves_slowly(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    controller.control("fault protective_stop")
+    await reported_stop(arm)
+    controller.control("clear")
+    await regained(arm)
+    await arm.close()
+    await opened(arm)
+    assert await lifted(arm, 5.0, 200.0) == AFTER_STOP_MM_S

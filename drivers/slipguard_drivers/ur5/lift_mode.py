@@ -86,7 +86,8 @@ class LiftModeArm(Arm):
         self._worker.kill()
         try:
             await self._monitor.open()
-            self._monitoring_only = self._regaining = self._after_stop = self._monitor.newest.safety_stop
+            self._monitoring_only = self._regaining = self._monitor.newest.safety_stop
+            self._after_stop, self._first_goal_m = self._after_stop or self._monitoring_only, math.nan
             if not self._monitoring_only:
                 await self._take_control()
         except BaseException as error:
