@@ -13,6 +13,8 @@ from structlog.testing import capture_logs
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest
+from slipguard.devices import Frame
+from slipguard.perception.estimate import Estimate
 
 FAILURES = [
     TypeError("'NoneType' object is not subscriptable"),
@@ -103,6 +105,24 @@ def test_a_pipeline_that_raises_pauses_and_is_tried_again(error: BaseException) 
         assert cell.phase is Phase.HOLDING, "the other finger guards"
         del pipeline.process
         await cell.until(lambda: not cell.service.waiting_for, 3.0)
+
+    play(Cell(), scene)
+
+
+def test_one_exception_of_a_pipeline_costs_one_frame() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        finger, pipeline, failed = cell.service.fingers["left"], cell.perceivers["left"][-1], False
+
+        def fail_once(frame: Frame) -> Estimate:
+            nonlocal failed
+            failed = True
+            del pipeline.process
+            raise ZeroDivisionError
+
+        pipeline.process = fail_once  # type: ignore[method-assign]
+        await cell.until(lambda: failed, 1.0)
+        await cell.until(lambda: finger.newest is not None, 0.1)
 
     play(Cell(), scene)
 

@@ -198,7 +198,7 @@ class Finger:
     async def _perceive(self) -> None:
         loop, capture = asyncio.get_running_loop(), self.capture
         used: PerceptionPipeline | None = None
-        backoff = Backoff(self._retry_s)
+        backoff, failed = Backoff(self._retry_s), False
         while True:
             frame, received_at_s = await capture.frames.next()
             pipeline = self.pipeline
@@ -219,8 +219,11 @@ class Finger:
                 self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=reason))
                 if not isinstance(error, SlipguardError):
                     self._drop_estimate()
-                    await backoff.wait()
+                    if failed:  # the first in a row costs one frame; a pause would be longer than `frames_timeout_s`
+                        await backoff.wait()
+                    failed = True
                 continue
+            failed = False
             backoff.reset()
             patch = pipeline.last_patch if self.observers else None
             self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch))
