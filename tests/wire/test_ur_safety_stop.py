@@ -98,6 +98,8 @@ async def test_the_arm_comes_back_under_control(
     after = await regained(arm)
     assert after.height_mm == pytest.approx(stopped.height_mm, abs=25.0), "heights count from where they did before"
     assert not [event for event in controller.events("dashboard") if "unlock" in str(event["asked"])]
+    started = [event for event in controller.events("started") if "shuttle" in str(event["program"])]
+    assert not started, "a program that was ended during a stop does not continue"
     assert await lifted(arm, -20.0, 200.0) == AFTER_STOP_MM_S
     assert await until(lambda: speed_of(controller) > 0.01)
     assert speed_of(controller) < 0.03

@@ -152,6 +152,7 @@ class EmulatedController:
             self._note("ended", program=self.program.name, why=why)
             self.tool.stop(now_s, PROGRAM_STOP_M_S2)
         self.program, self.runtime = None, STOPPED
+        self._continues = False
 
     def set_safety(self, state: str, now_s: float) -> None:
         """Start or end a stop. Every stop pauses the program, and `play` continues it afterwards.
