@@ -127,7 +127,7 @@ def test_the_command_writes_json_and_plot(
     assert (found["scenarios"], found["rendered"], found["drops_avoidable"]) == (2, 1, 0)
     assert (found["high_need"]["scenarios"], found["fragile"]["scenarios"], found["holds"]["rendered"]) == (1, 1, 1)
     assert [check["key"] for check in found["promised"]] == [bound.key for bound in campaign_figures.BOUNDS]
-    assert "about" in printed.err
+    assert "lifts with a grip that is too weak" in printed.err
     kept = json.loads((tmp_path / "grip.json").read_text())
     assert {key: kept[key] for key in found} == found
     assert [one["block"] for one in kept["trials"]] == ["matrix", "matrix", "matrix", "high need", "fragile"]

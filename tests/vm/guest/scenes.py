@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from plug import attach, modprobe, settle
 
+from slipguard.daemon.loop.capture import StreamRestarts
 from slipguard.daemon.loop.finger import Finger, ThreadWorker
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
@@ -249,7 +250,8 @@ class Perceiving:
 async def replug(unplugged_s: float) -> dict[str, float]:
     """A cable comes loose while a finger of the daemon watches, and is plugged in again after a while."""
     async with emulated() as emulator:
-        finger = Finger("left", digit(fps=30), ThreadWorker("left"), lambda serial: Perceiving(), RETRY_S, lambda: None)
+        make = (ThreadWorker("left"), lambda serial: Perceiving())
+        finger = Finger("left", digit(fps=30), *make, RETRY_S, StreamRestarts(), lambda: None)
         running = asyncio.create_task(finger.run())
         try:
             await until(lambda: finger.capture.counts.frames > 10 and finger.health.ready)
