@@ -120,5 +120,5 @@ class StreamOutput:
                 select.select((), (self._fd,), ())  # another program has set the shared terminal to non-blocking
 
     def __del__(self) -> None:
-        if self._fd is not None:
+        if self._fd is not None and os is not None:  # at the interpreter's end the module may be gone
             os.close(self._fd)

@@ -120,10 +120,10 @@ def api_load(
         print(jsonlib.dumps(asdict(found) | {"rise_ms": found.rise_ms, "allowed_ms": found.allowed_ms}))
     else:
         _print(found, change)
-    if found.invalid:
-        raise SlipguardError(found.invalid)
-    if found.rise_ms > found.allowed_ms:
-        raise SlipguardError(f"with {options.clients} clients {change}")
+    failure = found.invalid or (f"with {options.clients} clients {change}" if found.rise_ms > found.allowed_ms else None)
+    if failure:
+        typer.echo(failure, err=True)
+        raise typer.Exit(1)
 
 
 def _print(found: ApiLoadResult, change: str) -> None:

@@ -16,7 +16,8 @@ from slipguard.daemon.loop.actuator import ROUND_TRIPS
 from slipguard.daemon.loop.event_log import KEPT
 
 
-@pytest.mark.parametrize("minutes", [1, pytest.param(5, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("minutes", [1, 5])
 def test_minutes_of_holding_neither_tighten_nor_grow(minutes: int) -> None:
     """6,000 cycles of 10 ms a minute. Frames at 30 a second and a slow poll keep it cheap."""
 

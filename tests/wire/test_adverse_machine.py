@@ -172,6 +172,7 @@ def test_a_log_that_nothing_reads_does_not_stop_the_guard(kind: type[Output], tm
         output.close()
 
 
+@pytest.mark.campaign
 def test_a_full_disk_is_reported_and_the_guard_goes_on(tmp_path: Path) -> None:
     with running(tmp_path) as (daemon, log):
         daemon.grasp()
@@ -183,6 +184,7 @@ def test_a_full_disk_is_reported_and_the_guard_goes_on(tmp_path: Path) -> None:
         assert daemon.stop() == 0
 
 
+@pytest.mark.campaign
 def test_a_state_folder_that_cannot_be_written_is_reported_and_the_guard_goes_on(tmp_path: Path) -> None:
     with running(tmp_path, state=Path("/proc/slipguard")) as (daemon, log):
         daemon.grasp()

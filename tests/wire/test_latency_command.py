@@ -12,6 +12,7 @@ from tests.campaigns.command_line import run as run_campaign
 
 
 @pytest.mark.campaign
+@pytest.mark.realtime
 def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     """Both clients are served and the exit code follows from the figures; whether the p99 rises is chance."""
     code = run_campaign(["api-load", "--clients", "2", "--pairs", "1", "--block-s", "1.5", "--fps", "30", "--json"])
@@ -23,6 +24,7 @@ def test_two_clients_for_a_moment(capfd: pytest.CaptureFixture[str]) -> None:
     assert found["received"]["live messages"] >= 1
 
 
+@pytest.mark.campaign
 @pytest.mark.realtime
 def test_a_short_measurement(capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["latency", "--commands", "4", "--fps", "30", "--baud", "115200", "--json"]) == 0

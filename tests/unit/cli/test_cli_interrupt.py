@@ -126,6 +126,7 @@ def wait_for_daemon(process: subprocess.Popen[str], socket: Path) -> None:
     raise AssertionError(f"no daemon: {process.communicate()}")
 
 
+@pytest.mark.campaign
 def test_a_second_daemon_is_refused_a_killed_one_is_replaced(tmp_path_factory: pytest.TempPathFactory) -> None:
     home = tmp_path_factory.mktemp("two")  # a socket's path has 107 bytes
     socket = home / ".local/state/slipguard/slipguard.sock"

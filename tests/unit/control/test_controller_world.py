@@ -56,6 +56,7 @@ def test_what_would_slip_is_lifted_and_held(seed: int) -> None:
     assert truth.force_n >= needed_n
 
 
+@pytest.mark.campaign
 def test_unguarded_the_same_objects_rotate_or_fall() -> None:
     bad = 0
     for seed in range(12):

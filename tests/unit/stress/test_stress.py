@@ -165,6 +165,7 @@ def quick() -> StressOutcome:
     return run(FAMILIES, 0, 0.2)
 
 
+@pytest.mark.campaign
 def test_a_quick_run_tries_every_family_without_failure(quick: StressOutcome) -> None:
     assert all(results.tried > 0 for results in quick.results)
     assert not quick.failed, [one.what for one in first_failures(quick)]

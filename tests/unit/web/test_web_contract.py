@@ -13,6 +13,7 @@ import pytest
 from fake_daemon_api import TOKEN, FakeDaemonApi, served_on_tcp
 
 
+@pytest.mark.campaign
 async def test_every_route_matches_its_description(tmp_path: Path, pytestconfig: pytest.Config) -> None:
     """No server error; statuses, types, headers and bodies as described; invalid requests refused; token required."""
     daemon = FakeDaemonApi()

@@ -49,6 +49,7 @@ async def test_invalid_messages_and_a_failed_start_are_survived(
         assert not any("\n" in line for line in served.warnings)
 
 
+@pytest.mark.campaign
 async def test_a_web_process_that_hangs_is_replaced_and_executes_nothing_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
