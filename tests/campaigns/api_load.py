@@ -120,8 +120,8 @@ def api_load(
         print(jsonlib.dumps(asdict(found) | {"rise_ms": found.rise_ms, "allowed_ms": found.allowed_ms}))
     else:
         _print(found, change)
-    failure = found.invalid or (f"with {options.clients} clients {change}" if found.rise_ms > found.allowed_ms else None)
-    if failure:
+    risen = f"with {options.clients} clients {change}" if found.rise_ms > found.allowed_ms else None
+    if failure := found.invalid or risen:
         typer.echo(failure, err=True)
         raise typer.Exit(1)
 
