@@ -106,7 +106,7 @@ async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics
             statistics.captured_s.append(frame.captured_at_s)
             statistics.ages_s.append(loop.time() - frame.captured_at_s)
             statistics.sequences.append(frame.sequence)
-            statistics.torn += torn_frames.find(frame.image) is not None
+            statistics.torn += torn_frames.find(frame.image, frame.captured_at_s) is not None
     return statistics
 
 

@@ -145,7 +145,7 @@ class Pipeline:
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
 
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
-            self._torn.note_good(image)
+            self._torn.note_good(image, now_s)
             self._forget_measured()
             self._patch = None
             timer.mark("gate")
@@ -156,10 +156,10 @@ class Pipeline:
             self._measured = None
         repeated = self._repeat(frame) if unchanged else None
         if repeated is None:
-            self._refuse_torn(image, frame.sequence)
+            self._refuse_torn(image, frame)
         timer.mark("gate")
         if repeated is not None:
-            self._torn.note_good(image)
+            self._torn.note_good(image, now_s)
             return replace(repeated, stage_ms=timer.stage_ms)
 
         probability = self._segmenter.segment(image, self._background)
@@ -205,6 +205,7 @@ class Pipeline:
 
     def keep_estimate(self, captured_at_s: float) -> None:
         """Note a frame that is not processed because the other finger showed that nothing rotates."""
+        self._torn.note_unread(captured_at_s)
         self._meter.note_kept(captured_at_s)
 
     def restore_reference(self, image: NDArray[np.uint8], now_s: float, rotation_deg: float) -> bool:
@@ -235,10 +236,12 @@ class Pipeline:
         self._reference_difference_levels = quality.difference_levels
         return True
 
-    def _refuse_torn(self, image: NDArray[np.uint8], sequence: int) -> None:
-        tear = self._torn.find(image)
+    def _refuse_torn(self, image: NDArray[np.uint8], frame: Frame) -> None:
+        tear = self._torn.find(image, frame.captured_at_s)
         if tear is not None:
-            raise FrameTorn(f"frame {sequence} is torn at {tear}: its parts are from different captures; it is skipped")
+            raise FrameTorn(
+                f"frame {frame.sequence} is torn at {tear}: its parts are from different captures; it is skipped"
+            )
 
     def _repeat(self, frame: Frame) -> Estimate | None:
         """Return the last estimate for an unchanged image, if it is recent, and the contact clear and long at rest."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 from loop_cell import Cell, play
 from loop_doubles import Oracle
 
-from slipguard.control.state import Phase
+from slipguard.control.state import HeldObject, Phase, SlipEpisode
 from slipguard.daemon.loop.capture import RESTART_APART_S, RESTART_INTERVAL_S, TORN_MAX, StreamRestarts
 from slipguard.devices import Frame
 from slipguard.errors import FrameTorn
@@ -57,6 +58,27 @@ def test_repeated_tears_of_both_fingers_restart_the_streams_one_after_the_other(
         assert cell.phase is Phase.HOLDING
         assert cell.service.state.grip.target_n == target_n
         assert "torn" in "\n".join(cell.service.event_log.lines)
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_no_stream_restarts_while_the_other_finger_has_no_frames_or_the_object_slips() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        assert cell.world is not None
+        cell.world.faults.fail("right", "stall")
+        tear(cell.perceivers["left"][-1], every=3)
+        await asyncio.sleep(3.0)
+        counts = cell.service.fingers["left"].capture.counts
+        assert (counts.torn > TORN_MAX, counts.restarts) == (True, 0)
+        assert cell.phase is Phase.HOLDING, "the left finger guards"
+        memory, slip = cell.service._memory, SlipEpisode(cell.now_s, cell.now_s, 0.0, 0.0, 0.0)
+        cell.world.faults.repair("right")
+        await cell.until(lambda: cell.service._may_restart("left"))
+        cell.service._memory = replace(memory, grasp=replace(memory.grasp, held=HeldObject(slip=slip)))
+        assert not cell.service._may_restart("left")
+        cell.service._memory = memory
+        await cell.until(lambda: counts.restarts == 1)
 
     play(Cell("wrench", 1), scene)
 

@@ -56,9 +56,14 @@ class FrameCounts:
 
 
 class StreamRestarts:
-    """Decides when repeated tearing restarts a stream; shared by the fingers, so that never both restart at once."""
+    """Decides when repeated tearing restarts a stream; shared by the fingers, so that never both restart at once.
 
-    def __init__(self) -> None:
+    Args:
+        allowed: Returns whether this stream may be restarted now.
+    """
+
+    def __init__(self, allowed: Callable[[str], bool] = lambda name: True) -> None:
+        self._allowed = allowed
         self._torn_at_s: dict[str, deque[float]] = {}
         self._restarted_at_s: dict[str, float] = {}
 
@@ -74,6 +79,8 @@ class StreamRestarts:
         for other, restarted_at_s in self._restarted_at_s.items():
             if now_s - restarted_at_s < (RESTART_INTERVAL_S if other == name else RESTART_APART_S):
                 return False
+        if not self._allowed(name):
+            return False
         self._torn_at_s[name].clear()
         self._restarted_at_s[name] = now_s
         return True

@@ -19,6 +19,7 @@ from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.messages import (
     ActivateGripper,
+    Condition,
     ControlRequest,
     FingerHealth,
     HaltJaws,
@@ -100,7 +101,7 @@ class Service:
         self._wake = asyncio.Event()
         self._workers = {name: make_worker(name) for name in FINGERS}
         retry_s, poll_s = config.loop.retry_s, config.loop.poll_ms / 1e3
-        restarts, wake = StreamRestarts(), self._wake.set
+        restarts, wake = StreamRestarts(self._may_restart), self._wake.set
         self.fingers = {
             name: Finger(name, sensors[name], self._workers[name], make_pipeline[name], retry_s, restarts, wake)
             for name in FINGERS
@@ -163,6 +164,13 @@ class Service:
         if request.kind in (RequestKind.LIFT, RequestKind.LOWER) and not self.config.arm.present:
             raise CommandRefused(f'cannot {request.kind}: there is no arm ([arm] driver = "none")')
         return await self._requests.submit(request, self._wake, deadline_s)
+
+    def _may_restart(self, name: str) -> bool:
+        """Return whether a finger can do without frames for a moment: the other one has some, and no slip is open."""
+        now_s = asyncio.get_running_loop().time()
+        others = (finger for other, finger in self.fingers.items() if other != name)
+        fresh = all(finger.observe(now_s)[0].condition is Condition.FRESH for finger in others)
+        return fresh and self.state.held.slip is None
 
     def stop_arm(self, on_stopped: Callable[[], None]) -> None:
         """Stop the arm independently of the controller, before the service ends.

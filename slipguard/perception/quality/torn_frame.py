@@ -31,8 +31,9 @@ NEAR_PX = (2, 8)
 """Distances of the nearby lines: edges blur over less, blocks of compressed video repeat within."""
 NOISE_FLOOR_LEVELS = 0.05
 """Assumed noise of a group's step, gray levels, where an image has none."""
-IN_A_ROW_MAX = 10
-"""After this many torn frames the next one counts as good: a sharp line that stays, such as a dead one, is no tear."""
+REFUSED_MAX_S = 0.15
+"""This long after the last good frame the next one counts as good: a sharp line that stays, such as a dead one, is no
+tear. It is half of the default `frames_timeout_s`, so refused frames alone never stop the arm."""
 
 _STEP = np.array([[0.5, -1.5, 1.5, -0.5]], np.float32)
 """Step from line k - 1 to line k, minus the mean of the steps before and after it; on lines k - 2 to k + 1."""
@@ -74,22 +75,25 @@ class TornFrames:
     def __init__(self) -> None:
         self._good: Image | None = None
         self._lines: FrameLines | None = None
-        self._in_a_row = 0
+        self._good_at_s = 0.0
 
-    def note_good(self, image: Image) -> None:
+    def note_good(self, image: Image, captured_at_s: float) -> None:
         """Note a frame that needs no test; it is kept and must not change."""
-        self._good, self._lines, self._in_a_row = image, None, 0
+        self._good, self._lines, self._good_at_s = image, None, captured_at_s
 
-    def find(self, image: Image) -> Tear | None:
+    def note_unread(self, captured_at_s: float) -> None:
+        """Note a frame that is not looked at: nothing was refused until then."""
+        self._good_at_s = captured_at_s
+
+    def find(self, image: Image, captured_at_s: float) -> Tear | None:
         """Return where a frame, (320, 240, 3) uint8, is torn; None if it is good, or the first one."""
         lines, good = frame_lines(image), self._lines
         if good is None and self._good is not None:
             good = frame_lines(self._good)
         tear = None if good is None else find_tear(lines, good)
-        if tear is not None and self._in_a_row < IN_A_ROW_MAX:
-            self._in_a_row += 1
+        if tear is not None and 0.0 <= captured_at_s - self._good_at_s < REFUSED_MAX_S:
             return tear
-        self._good, self._lines, self._in_a_row = image, lines, 0
+        self._good, self._lines, self._good_at_s = image, lines, captured_at_s
         return None
 
 

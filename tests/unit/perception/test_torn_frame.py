@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from slipguard.control.params import GuardTuning
 from slipguard.devices import Frame
 from slipguard.errors import FrameTorn
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.quality.torn_frame import IN_A_ROW_MAX, Tear, TornFrames, find_tear, frame_lines
+from slipguard.perception.quality.torn_frame import REFUSED_MAX_S, Tear, TornFrames, find_tear, frame_lines
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim import shapes
 from slipguard.sim.gel_camera import GelCamera
@@ -112,15 +113,25 @@ def test_the_tear_of_an_earlier_frame_is_not_held_against_a_good_one() -> None:
     assert tear_in(wrench(gel, 36.0), torn) is None
 
 
-def test_a_sharp_line_that_stays_is_accepted_after_some_frames() -> None:
+@pytest.mark.parametrize("fps", [30.0, 60.0])
+def test_a_sharp_line_that_stays_is_accepted_before_the_frames_time_out(fps: float) -> None:
     gel, frames = camera(), TornFrames()
-    assert frames.find(wrench(gel, 30.0)) is None
+    assert frames.find(wrench(gel, 30.0), 10.0) is None
 
     def with_line() -> Image:
         return spliced(wrench(gel, 30.0), wrench(gel, 45.0), "column", 120)
 
-    found = [frames.find(with_line()) is not None for _ in range(IN_A_ROW_MAX + 5)]
-    assert found == [True] * IN_A_ROW_MAX + [False] * 5
+    times_s = [10.0 + k / fps for k in range(1, 16)]
+    accepted_at_s = next(at_s for at_s in times_s if frames.find(with_line(), at_s) is None)
+    assert REFUSED_MAX_S <= accepted_at_s - 10.0 < REFUSED_MAX_S + 1.0 / fps
+    assert GuardTuning().frames_timeout_s >= 2.0 * REFUSED_MAX_S
+
+
+def test_frames_that_are_not_looked_at_do_not_count_as_refused() -> None:
+    gel, frames = camera(), TornFrames()
+    assert frames.find(wrench(gel, 30.0), 10.0) is None
+    frames.note_unread(10.2)
+    assert frames.find(spliced(wrench(gel, 30.0), wrench(gel, 36.0), "column", 120), 10.22) == Tear("column", 120)
 
 
 def test_the_pipeline_refuses_a_torn_frame_and_goes_on_with_the_next() -> None:
