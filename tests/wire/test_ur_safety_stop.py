@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import AsyncIterator
 
 import pytest
-from ur_scene import lifting, lost, opened, own_address, put_away, rests, script_commands, speed_of, under_way, until
+from ur_scene import (
+    BUILT,
+    lifting,
+    lost,
+    opened,
+    own_address,
+    put_away,
+    rests,
+    script_commands,
+    speed_of,
+    under_way,
+    until,
+)
 
+from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.ur5.lift_mode import AFTER_STOP_MM_S, LiftModeArm
@@ -199,6 +213,82 @@ async def test_a_link_lost_during_a_stop(controller: UrEmulator, arm: LiftModeAr
     controller.control("clear")
     assert await regained(arm)
     assert controller.state()["program"] == "<unnamed>"
+
+
+async def paused_by_a_stop(arm: Arm, controller: UrEmulator) -> None:
+    """Lift, and stop; the dashboard ends nothing meanwhile."""
+    await under_way(arm, controller)
+    controller.control("fault refuse_stop")
+    controller.control("fault protective_stop")
+    assert await until(lambda: controller.state()["runtime"] == "paused")
+
+
+async def killed(arm: LiftModeArm) -> None:
+    """Leave the robot as a daemon that was killed leaves it."""
+    BUILT.remove(arm)
+    await cancel_and_wait(arm._heartbeat)
+    arm._worker.close()
+    await arm._monitor.close()
+    arm._dashboard.close()
+
+
+async def test_a_link_lost_for_long_during_a_stop(controller: UrEmulator, arm: LiftModeArm) -> None:
+    """The script's watchdog stands still during the pause: the script is still there whenever the link is back."""
+    await paused_by_a_stop(arm, controller)
+    controller.control("fault drop 1")
+    await lost(arm)
+    arm._script._until_s = -math.inf  # the time after which the watchdog has ended a running script
+    controller.control("clear drop")
+    await opened(arm)
+    controller.control("clear")
+    assert (await regained(arm)).height_mm < 50.0
+    assert [event["why"] for event in controller.events("ended")] == ["stopped by the dashboard"]
+
+
+@pytest.mark.parametrize("registers", ["lower", "upper"])
+async def test_a_script_paused_before_a_restart_is_ended_and_the_arm_comes_back(
+    controller: UrEmulator, registers: str
+) -> None:
+    arm = lifting(HOST, registers=registers)
+    await opened(arm)
+    await paused_by_a_stop(arm, controller)
+    await killed(arm)
+    after = lifting(HOST, registers=registers)
+    await opened(after)
+    assert (await reported_stop(after)).height_mm == pytest.approx(0.0, abs=0.5)
+    controller.control("clear refuse_stop")
+    assert await until(lambda: controller.state()["runtime"] == "stopped"), "during the stop already"
+    controller.control("clear")
+    await regained(after)
+    assert controller.state()["program"] == "<unnamed>"
+    assert await lifted(after, -5.0, 200.0) == AFTER_STOP_MM_S
+
+
+async def test_another_program_paused_by_a_stop_is_not_ended_after_a_restart(controller: UrEmulator) -> None:
+    arm = lifting(HOST)
+    await opened(arm)
+    await arm.close()  # clears the script's mark
+    controller.control("panel play")
+    controller.control("fault protective_stop")
+    after = lifting(HOST)
+    await opened(after)
+    await reported_stop(after)
+    await asyncio.sleep(0.6)
+    controller.control("clear")
+    assert await until(lambda: after._blocked)
+    assert controller.state()["runtime"] == "paused"
+    assert controller.state()["program"] == "shuttle.urp"
+
+
+async def test_a_mark_alone_ends_no_paused_program(controller: UrEmulator, arm: LiftModeArm) -> None:
+    await under_way(arm, controller)
+    await killed(arm)
+    assert await until(lambda: controller.state()["runtime"] == "stopped"), "by the watchdog, so the mark stays"
+    controller.control("panel play")
+    controller.control("panel pause")
+    with pytest.raises(DeviceLost, match="it may be the script that slipguard left"):
+        await lifting(HOST).open()
+    assert controller.state()["runtime"] == "paused"
 
 
 async def test_without_a_process_for_the_worker_the_arm_is_lost_and_can_be_reopened(

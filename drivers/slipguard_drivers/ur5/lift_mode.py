@@ -5,7 +5,8 @@ of its own, and the watchdog in the robot. The watchdog is fed only while this e
 responds, and the controller's clock advances.
 
 A protective stop pauses the control script, and the robot would continue its motion after `play`, or by itself after a
-safeguard stop. So the driver ends the paused script by the dashboard, which moves nothing. It never unlocks a stop:
+safeguard stop. So the driver ends the paused script by the dashboard, which moves nothing; it also recognizes one that
+was left by a lost connection or by a daemon that was killed (see `own_script`). It never unlocks a stop:
 a person does, after finding the cause. Then it uploads the script again, with the heights as before, and moves
 slowly at first. Until the arm is under control again, its state says that it is stopped, or what prevents control.
 """
@@ -23,8 +24,8 @@ from slipguard.devices import Arm, ArmState
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.ur5.dashboard import DashboardClient, stop_program
 from slipguard_drivers.ur5.motion_client import MotionWorkerClient
-from slipguard_drivers.ur5.own_script import OwnScript
-from slipguard_drivers.ur5.preconditions import check_lift, check_robot_is_free
+from slipguard_drivers.ur5.own_script import MARK, OwnScript
+from slipguard_drivers.ur5.preconditions import check_lift, check_robot_is_free, first_register
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_drivers.ur5.state_monitor import STALE_S, RobotState, StateMonitor
 
@@ -57,7 +58,8 @@ class LiftModeArm(Arm):
     def __init__(self, name: str, settings: Ur5Settings) -> None:
         self._name = name
         self._settings = settings
-        self._monitor = StateMonitor(name, settings.host, on_lost=self._lose)
+        first = first_register(settings)
+        self._monitor = StateMonitor(name, settings.host, on_lost=self._lose, first_register=first)
         self._worker = MotionWorkerClient(name, settings.host)
         self._dashboard = DashboardClient(name, settings.host)
         self._script = OwnScript(self._monitor, 1.0 / settings.watchdog_hz + 2 * LOST_S)
@@ -189,7 +191,7 @@ class LiftModeArm(Arm):
         try:
             upper_registers = settings.registers == "upper"
             await self._worker.connect(
-                settings.watchdog_hz, settings.stop_mm_s2 / 1000.0, upper_registers=upper_registers
+                settings.watchdog_hz, settings.stop_mm_s2 / 1000.0, MARK, upper_registers=upper_registers
             )
         except BaseException:
             self._script.abandon(starting=True)

@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import signal
+from collections.abc import Sequence
 from typing import Any
 
 from slipguard.errors import CommandRefused, DeviceLost
@@ -46,12 +47,15 @@ class MotionWorkerClient:
         if self._spare is None:
             self._spare = ChildProcess(WORKER, self._host)
 
-    async def connect(self, watchdog_hz: float, deceleration_m_s2: float, *, upper_registers: bool) -> None:
-        """Let ur-rtde take control of the arm and start the robot's watchdog. Raises DeviceLost."""
+    async def connect(
+        self, watchdog_hz: float, deceleration_m_s2: float, mark: Sequence[float], *, upper_registers: bool
+    ) -> None:
+        """Let ur-rtde take control of the arm, start the robot's watchdog and mark the script. Raises DeviceLost."""
         self.kill()
         self.start_spare()
         self._worker, self._spare = self._spare, None
-        await self.call("connect", watchdog_hz, deceleration_m_s2, upper_registers, timeout_s=CONNECT_TIMEOUT_S)
+        arguments = (watchdog_hz, deceleration_m_s2, list(mark), upper_registers)
+        await self.call("connect", *arguments, timeout_s=CONNECT_TIMEOUT_S)
         self.connected = True
         self.start_spare()
 

@@ -42,9 +42,15 @@ class MotionRefused(Exception):
 
 
 class MotionControl:
-    """The calls that the arm driver needs. upper_registers: use the registers from 24 on, the lower ones are in use."""
+    """The calls that the arm driver needs.
 
-    def __init__(self, host: str, watchdog_hz: float, deceleration_m_s2: float, upper_registers: bool) -> None:
+    mark: three numbers that the script writes to its first output registers, until `leave`. upper_registers: use the
+    registers from 24 on, the lower ones are in use.
+    """
+
+    def __init__(
+        self, host: str, watchdog_hz: float, deceleration_m_s2: float, mark: list[float], upper_registers: bool
+    ) -> None:
         flags = RTDEControlInterface.FLAGS_DEFAULT
         if upper_registers:
             flags |= RTDEControlInterface.FLAG_UPPER_RANGE_REGISTERS
@@ -57,6 +63,7 @@ class MotionControl:
             signal.sigtimedwait([], POLL_S)  # sleeps; no other thread runs in this process
         if not self._control.setWatchdog(watchdog_hz):
             raise ControllerLost("the robot's watchdog cannot be started; open the arm again")
+        self._write_mark(mark)
 
     def beat(self) -> dict[str, Any]:
         """Feed the watchdog; return whether the script runs and whether a motion is under way."""
@@ -85,8 +92,14 @@ class MotionControl:
 
     def leave(self) -> bool:
         """End the control script, so that other programs can use the robot; a moving arm brakes."""
+        if self._control.isProgramRunning():  # a paused script executes nothing
+            self._write_mark([0.0, 0.0, 0.0])
         self._control.stopScript()
         return True
+
+    def _write_mark(self, mark: list[float]) -> None:
+        """Let the script write three of its output registers: a frame at `mark`, seen from the origin, is at `mark`."""
+        self._control.poseTrans([*mark, 0.0, 0.0, 0.0], [0.0] * 6)
 
 
 class WorkerServer:
@@ -115,8 +128,8 @@ class WorkerServer:
             return {"connect": self._connect}
         return {"beat": motion.beat, "move": motion.move, "stop": motion.stop, "leave": motion.leave}
 
-    def _connect(self, watchdog_hz: float, deceleration_m_s2: float, upper_registers: bool) -> bool:
-        self.motion = MotionControl(self._host, watchdog_hz, deceleration_m_s2, upper_registers)
+    def _connect(self, watchdog_hz: float, deceleration_m_s2: float, mark: list[float], upper_registers: bool) -> bool:
+        self.motion = MotionControl(self._host, watchdog_hz, deceleration_m_s2, mark, upper_registers)
         return True
 
 

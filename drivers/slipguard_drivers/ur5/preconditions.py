@@ -11,6 +11,7 @@ import math
 
 from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.ur5.dashboard import DashboardClient
+from slipguard_drivers.ur5.own_script import is_marked
 from slipguard_drivers.ur5.rtde import RtdeConnection, check_port
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_drivers.ur5.state_monitor import ROBOT_MODES, RUNNING, STOPPED, StateMonitor
@@ -43,12 +44,12 @@ async def check_robot_is_free(
             await asyncio.sleep(POLL_S)
     if monitor.newest.runtime != STOPPED:
         program = await dashboard.ask("programState")
-        raise DeviceLost(
-            f"{name}: a program is running or paused ({program}), and lift mode would end it; stop it at the panel, "
-            'or let it move the arm: [guard] mode = "guard"'
-        )
+        text = f"{name}: a program is running or paused ({program}), and lift mode would end it; stop it at the panel, "
+        if is_marked(monitor.newest):
+            raise DeviceLost(f"{text}if no other program is meant to run: it may be the script that slipguard left")
+        raise DeviceLost(f'{text}or let it move the arm: [guard] mode = "guard"')
     await check_port(name, settings.host, SCRIPT_PORT, "script port")
-    first = 24 if settings.registers == "upper" else 0
+    first = first_register(settings)
     connection = await RtdeConnection.connect(name, settings.host)
     try:
         await connection.claim_inputs([f"input_int_register_{first}", f"input_double_register_{first}"])
@@ -57,6 +58,11 @@ async def check_robot_is_free(
         raise DeviceLost(f'{error}; or try registers = "{other}" in [arm.ur5]') from None
     finally:
         connection.close()
+
+
+def first_register(settings: Ur5Settings) -> int:
+    """Return the number of the first register that ur-rtde uses."""
+    return 24 if settings.registers == "upper" else 0
 
 
 def check_lift(name: str, height_mm: float, speed_mm_s: float) -> None:

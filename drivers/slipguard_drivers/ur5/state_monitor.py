@@ -25,6 +25,8 @@ VARIABLES = (
     ("robot_mode", "INT32"),
 )
 LAYOUT = struct.Struct(">d6d6dIIi")
+REGISTERS = 3
+"""How many output registers are received in addition, if any."""
 RATE_HZ = 125.0
 """The full rate of a CB3 controller, a quarter of an e-Series controller's."""
 STALE_S = 0.2
@@ -37,7 +39,7 @@ EMERGENCY = 1 << 5 | 1 << 6 | 1 << 7 | 1 << 8 | 1 << 9
 """System, robot and emergency stop, safety violation, safety fault."""
 MOVING_M_S = 0.0005
 ROTATING_RAD_S = 0.01
-STOPPED, PLAYING, PAUSED = 1, 2, 4
+STOPPED, PLAYING, PAUSING, PAUSED = 1, 2, 3, 4
 """`runtime_state`: 0 stopping, 1 stopped, 2 playing, 3 pausing, 4 paused, 5 resuming."""
 RUNNING = 7
 ROBOT_MODES = {
@@ -63,6 +65,7 @@ class RobotState:
         timestamp_s: the controller's clock.
         pose: x, y, z in m and rotation vector in rad, base frame.
         velocity: m/s and rad/s, base frame.
+        registers: output registers, which only a program on the controller writes; empty if not requested.
     """
 
     timestamp_s: float
@@ -72,6 +75,7 @@ class RobotState:
     safety_bits: int
     mode: int
     received_at_s: float
+    registers: tuple[float, ...] = ()
 
     @property
     def protective(self) -> bool:
@@ -96,14 +100,27 @@ class RobotState:
 
 
 class StateMonitor:
-    """Receives states from `open` to `close`, or until the connection is lost. on_lost: called once with the reason."""
+    """Receives states from `open` to `close`, or until the connection is lost.
+
+    on_lost: called once with the reason. first_register: the first output register to receive; None for no registers.
+    """
 
     def __init__(
-        self, name: str, host: str, rate_hz: float = RATE_HZ, on_lost: Callable[[str], None] = lambda reason: None
+        self,
+        name: str,
+        host: str,
+        rate_hz: float = RATE_HZ,
+        on_lost: Callable[[str], None] = lambda reason: None,
+        first_register: int | None = None,
     ) -> None:
         self._name, self._host, self._rate_hz, self._on_lost = name, host, rate_hz, on_lost
         self._connection: RtdeConnection | None = None
         self._reading: asyncio.Task[None] | None = None
+        self._variables, self._layout = VARIABLES, LAYOUT
+        if first_register is not None:
+            numbers = range(first_register, first_register + REGISTERS)
+            self._variables += tuple((f"output_double_register_{number}", "DOUBLE") for number in numbers)
+            self._layout = struct.Struct(f"{LAYOUT.format}{REGISTERS}d")
         self._zero_height_m = 0.0
         self._newest: RobotState | None = None
         self._lost: str | None = None
@@ -146,7 +163,7 @@ class StateMonitor:
         await self.close()
         connection = await RtdeConnection.connect(self._name, self._host)
         try:
-            await connection.request_outputs(VARIABLES, self._rate_hz)
+            await connection.request_outputs(self._variables, self._rate_hz)
             await connection.start()
             async with asyncio.timeout(RESPONSE_TIMEOUT_S):
                 first = self._decode(await connection.receive())
@@ -211,10 +228,13 @@ class StateMonitor:
             self._on_lost(self._lost)
 
     def _decode(self, data: bytes) -> RobotState:
-        if len(data) != LAYOUT.size:
-            raise DeviceLost(f"{self._name}: {len(data)} bytes of RTDE data instead of {LAYOUT.size}; open it again")
-        timestamp_s, *numbers, runtime, bits, mode = LAYOUT.unpack(data)
+        size = self._layout.size
+        if len(data) != size:
+            raise DeviceLost(f"{self._name}: {len(data)} bytes of RTDE data instead of {size}; open it again")
+        timestamp_s, *numbers, runtime, bits, mode = LAYOUT.unpack_from(data)
+        registers = struct.unpack_from(f">{(size - LAYOUT.size) // 8}d", data, LAYOUT.size)
         if not all(map(math.isfinite, (timestamp_s, *numbers))):
             raise DeviceLost(f"{self._name}: the controller sends a pose that is not finite; open it again")
         now_s = asyncio.get_running_loop().time()
-        return RobotState(timestamp_s, tuple(numbers[:6]), tuple(numbers[6:]), runtime, bits, mode, now_s)
+        pose, velocity = tuple(numbers[:6]), tuple(numbers[6:])
+        return RobotState(timestamp_s, pose, velocity, runtime, bits, mode, now_s, registers)

@@ -52,6 +52,8 @@ class EmulatedController:
         """The dashboard's `stop` fails during a safety stop; it is not documented whether that of a real one does."""
         self.fieldbus = False
         """A fieldbus adapter is switched on: it holds all inputs."""
+        self.registers: dict[str, Sequence[float]] = {}
+        """Output registers that programs have written; they keep their values when the program ends."""
         self._inputs: dict[str, Value] = {}
         self._owners: dict[str, object] = {}
         self._note = note
@@ -109,8 +111,8 @@ class EmulatedController:
             "actual_digital_output_bits": (self.output_bits,),
         }
         if isinstance(self.program, ControlScript):
-            values |= self.program.outputs()
-        return values
+            self.registers |= self.program.outputs()
+        return values | self.registers
 
     # --- programs ---
 

@@ -11,9 +11,12 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+import cv2
+import numpy as np
+
 from slipguard_emulators.ur5.tool import ToolPlant
 
-MOVE_L, SPEED_STOP, STOP_L, STOP_J, WATCHDOG, KICK, STOP_SCRIPT = 3, 15, 33, 34, 35, 99, 255
+MOVE_L, SPEED_STOP, STOP_L, STOP_J, WATCHDOG, POSE_TRANS, KICK, STOP_SCRIPT = 3, 15, 33, 34, 35, 39, 99, 255
 READY, DONE = 1, 2
 PROGRAM_STOP_M_S2 = 2.5
 """Deceleration of the arm when a program ends."""
@@ -83,6 +86,7 @@ class ControlScript(RobotProgram):
         self.last_kick_s = now_s
         self._tool, self._number, self._on_command = tool, number, on_command
         self._answer = READY
+        self._result: dict[str, Sequence[float]] = {}
         self._executing: int | None = None
         self._thread: str | None = None
         self._changes = self._operation = 0
@@ -100,6 +104,7 @@ class ControlScript(RobotProgram):
         return {
             f"output_int_register_{self.offset}": (self._answer,),
             f"output_int_register_{self.offset + 2}": (progress,),
+            **self._result,
         }
 
     def pause(self, now_s: float) -> None:
@@ -136,7 +141,7 @@ class ControlScript(RobotProgram):
     def _begin(self, command: int, now_s: float) -> str | None:
         self._executing = command
         asynchronous = self._number(f"input_int_register_{self.offset + 1}") == 1
-        doubles = [self._number(f"input_double_register_{self.offset + index}") for index in range(8)]
+        doubles = [self._number(f"input_double_register_{self.offset + index}") for index in range(12)]
         if command == MOVE_L:
             if self._thread == "stop":
                 return "another thread is already controlling the robot"
@@ -152,6 +157,11 @@ class ControlScript(RobotProgram):
         elif command == WATCHDOG:
             self._on_command(command, f"watchdog at {doubles[0]:g} Hz")
             self.watchdog_s, self.last_kick_s = 1.0 / doubles[0], now_s
+        elif command == POSE_TRANS:
+            self._on_command(command, "pose_trans")
+            pose = pose_trans(doubles[:6], doubles[6:])
+            names = (f"output_double_register_{self.offset + index}" for index in range(6))
+            self._result = {name: (value,) for name, value in zip(names, pose, strict=True)}
         elif command == STOP_SCRIPT:
             self._on_command(command, "end")
             return "it was commanded to end"
@@ -166,3 +176,10 @@ class ControlScript(RobotProgram):
         self._thread = thread if started else None
         self._changes = (self._changes + 1) % 128
         self._operation = (self._operation + started) % 128
+
+
+def pose_trans(first: Sequence[float], second: Sequence[float]) -> list[float]:
+    """Return the pose that is at `second` in the frame `first`, both as position and rotation vector."""
+    vectors = (np.array(part) for part in (second[3:], second[:3], first[3:], first[:3]))
+    rotation, position = cv2.composeRT(*vectors)[:2]
+    return [*map(float, position.ravel()), *map(float, rotation.ravel())]
