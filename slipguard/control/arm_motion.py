@@ -93,7 +93,8 @@ def put_down(latched: Result, observation: Observation, params: GuardParams) -> 
     if way_mm > -REACHED_MM:
         return state, output
     motion = replace(state.arm, putting_down=True, goal_mm=ground_mm, commanded_s=observation.now_s)
-    output = replace(output, arm=_leg_down(way_mm, params))
+    if observation.now_s - arm.measured_at_s <= FRESH_S:  # otherwise stop, and go down from the height reported then
+        output = replace(output, arm=_leg_down(way_mm, params))
     return replace(state, arm=motion), output.with_messages(Text.PUTTING_DOWN.message(height_mm=-way_mm))
 
 

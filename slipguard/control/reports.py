@@ -88,6 +88,10 @@ class Text(Enum):
     NOT_WHILE_SLIPPING = "cannot {verb}: the object is slipping; wait until it has settled"
     GRIP_NOT_FIRM = "cannot {verb}: the grip is not firm yet; retry in a moment"
     ARM_MISSING = "cannot {verb}: the arm is not connected; see its health in `slipguard ctl state`"
+    ARM_STATE_OLD = (
+        "cannot {verb}: the arm's newest state is {age_ms:.0f} ms old, the limit is {limit_ms:.0f} ms; try again, and "
+        "check the arm's network cable if it persists"
+    )
     ARM_STOPPED = "cannot {verb}: the arm is in a protective or emergency stop; end that first"
     GRIPPER_MISSING = "the gripper is not connected; see its health in `slipguard ctl state`"
     GRIPPER_NOT_READY = "the gripper is not ready ({why})"

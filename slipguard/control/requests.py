@@ -87,6 +87,9 @@ def _no_motion(state: GraspState, observation: Observation, params: GuardParams,
         return Text.ARM_MISSING.message(verb=verb)
     if state.person.now:
         return Text.ARM_STOPPED.message(verb=verb)
+    age_s = observation.now_s - observation.arm.measured_at_s
+    if age_s > arm_motion.FRESH_S:  # the first leg counts from this height
+        return Text.ARM_STATE_OLD.message(verb=verb, age_ms=1000.0 * age_s, limit_ms=1000.0 * arm_motion.FRESH_S)
     return None
 
 

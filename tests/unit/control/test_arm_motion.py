@@ -73,7 +73,7 @@ def test_ended(moving: bool, measured_s: float, now_s: float, sent_s: float, is_
 @pytest.mark.parametrize("code", FaultCode)
 def test_what_is_put_down(code: FaultCode) -> None:
     state = changed(FAULTED, fault=Fault(code, "seen", "do"))
-    after, command = put_down((state, SAID), observation(5.0, arm=arm(60.0)), LOWER)
+    after, command = put_down((state, SAID), observation(5.0, arm=arm(60.0, at_s=5.0)), LOWER)
     if code not in (FaultCode.FORCE_LIMIT_REACHED, FaultCode.ROTATED_TOO_FAR):
         assert (after, command) == (state, SAID)
         return
@@ -83,7 +83,7 @@ def test_what_is_put_down(code: FaultCode) -> None:
 
 def test_it_goes_no_faster_than_a_lowering() -> None:
     slow = guard_params(on_force_limit="lower", probe_speed_mm_s=40.0, lower_speed_mm_s=30.0)
-    _, command = put_down((FAULTED, SAID), observation(5.0, arm=arm(60.0)), slow)
+    _, command = put_down((FAULTED, SAID), observation(5.0, arm=arm(60.0, at_s=5.0)), slow)
     assert command.arm == LiftArm(-50.0, 30.0)
 
 

@@ -190,6 +190,16 @@ def test_no_motion_near_a_person() -> None:
     assert "protective" in str(step(state_in(Phase.HOLDING), view, PARAMS)[1].refusal)
 
 
+@pytest.mark.parametrize("kind", [RequestKind.LIFT, RequestKind.LOWER])
+def test_the_first_leg_counts_from_a_recent_state_of_the_arm(kind: RequestKind) -> None:
+    for age_s, moves in ((0.1, True), (0.15, False)):
+        view = seen_in(Phase.HOLDING, arm=arm(50.0, at_s=NOW_S - age_s), request=ask(kind))
+        state, command = step(state_in(Phase.HOLDING), view, PARAMS)
+        assert isinstance(command.arm, LiftArm) is moves
+        assert (state.phase is Phase.HOLDING) is not moves
+    assert "newest state is 150 ms old, the limit is 100 ms; try again" in str(command.refusal)
+
+
 def test_a_tighter_grip_asked_for_counts_from_what_is_there() -> None:
     """The gripper may hold more than the controller has commanded."""
     view = seen_in(Phase.HOLDING, gripper=gripper(90.0, at_s=NOW_S), request=ask(RequestKind.GRIPPER, force_n=60.0))

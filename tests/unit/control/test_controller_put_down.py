@@ -283,3 +283,20 @@ def test_a_silent_arm_is_not_commanded_to_move() -> None:
         view = seen_in(Phase.LIFTING, arm=arm(15.0, at_s=NOW_S - age_s))
         _, command = step(state_in(Phase.LIFTING), view, STOP)
         assert isinstance(command.arm, LiftArm) is moves
+
+
+def test_an_object_is_put_down_from_a_recent_height() -> None:
+    """With an old state the arm is stopped, and goes down as soon as it has reported where it stands."""
+    held = state_in(Phase.HOLDING, ground_mm=0.0)
+    for now_s in (NOW_S, NOW_S + 0.02):
+        sight = fused(50.0, 100.0, at_s=now_s)
+        view = seen_in(Phase.HOLDING, now_s=now_s, fused=sight, arm=arm(50.0, at_s=NOW_S - 0.15))
+        held, command = step(held, view, LOWER)
+    assert command.arm == StopArm()
+    assert held.arm.putting_down
+    now_s += 0.3
+    fresh = arm(45.0, at_s=now_s)
+    view = seen_in(Phase.HOLDING, now_s=now_s, fused=fused(50.0, 100.0, at_s=now_s), arm=fresh)
+    held, command = step(held, changed(view, gripper=gripper(129.0, at_s=now_s)), LOWER)
+    assert isinstance(command.arm, LiftArm)
+    assert command.arm.height_mm == -45.0
