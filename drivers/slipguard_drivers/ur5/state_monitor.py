@@ -16,7 +16,7 @@ from slipguard.devices import ArmState
 from slipguard.errors import DeviceLost, DeviceTimeout
 from slipguard_drivers.ur5.rtde import RESPONSE_TIMEOUT_S, RtdeConnection
 
-VARIABLES = (
+VARIABLES: tuple[tuple[str, str], ...] = (
     ("timestamp", "DOUBLE"),
     ("actual_TCP_pose", "VECTOR6D"),
     ("actual_TCP_speed", "VECTOR6D"),
