@@ -160,10 +160,11 @@ async def run(
         recorder: Makes the recorder of a service.
         read_config: Reads the configuration again on SIGHUP; None: SIGHUP ends the process.
         on_stop: Called in the loop when a signal asks the daemon to stop.
-        config_problem: Why `config` is not that of the file; shown until a reload succeeds.
+        config_problem: Why `config` is not that of the file. Until a reload succeeds, it is shown, and nothing new is
+            gripped, lifted or activated.
     """
     service = build(config, world=world)
-    _add_savers(service, StateDir(config.state.directory))
+    _add_savers(service, StateDir(config.state.directory), None if read_config is None else last_config_path())
     service.config_problem = config_problem
     if config_problem is not None:
         service.event_log.warning(config_problem)
@@ -210,13 +211,15 @@ async def run(
             loop.remove_signal_handler(number)
 
 
-def _add_savers(service: Service, state_dir: StateDir) -> None:
-    """Keep the grip, the fault, the fingers' references and the configuration on the disk, for a restart."""
+def _add_savers(service: Service, state_dir: StateDir, config_path: Path | None) -> None:
+    """Keep the grip, the fault, the fingers' references and the configuration on the disk, for a restart.
+
+    config_path: None: the configuration is not kept, because it is that of a simulation or the daemon runs by hand.
+    """
     info, warning = service.event_log.info, service.event_log.warning
     service.observers.append(LastGraspSaver(state_dir, info, warning).add_decision)
     references = ReferenceStore(state_dir.path / REFERENCES)
     service.observers.append(ReferenceSaver(references, service.fingers, info, warning).add_decision)
-    config_path = last_config_path()
     if config_path is not None:
         service.observers.append(ConfigSaver(service, config_path, info, warning).add_decision)
 

@@ -18,9 +18,10 @@ from slipguard.cli.run import bind_api
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon import run as root
+from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, GuardRequest, LiftRequest
 from slipguard.daemon.api.snapshot import snapshot
 from slipguard.daemon.reload import CurrentGrip, Reloader, current_grip, find_changes, refusal_reason
-from slipguard.errors import ConfigError
+from slipguard.errors import CommandRefused, ConfigError
 from slipguard.sim.world import World, WorldSettings
 
 FAKES: dict[str, Any] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
@@ -165,6 +166,43 @@ def test_systemd_is_notified_of_the_reload_and_its_end(tmp_path: Path, monkeypat
         messages = [systemd.recv(200).decode() for _ in range(2)]
     assert messages[0].startswith("RELOADING=1\nMONOTONIC_USEC=")
     assert messages[1] == "READY=1\nSTATUS=idle"
+
+
+def test_a_simulated_cell_keeps_no_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+
+    async def main() -> None:
+        running, simulated = asyncio.Event(), config(state={"directory": str(tmp_path)}, recording={"enabled": False})
+
+        async def stop_after_some_cycles(service: Any) -> None:
+            cycles = iter(range(5))
+            service.observers.append(lambda decision: next(cycles, None) is None and running.set())
+            await running.wait()
+            os.kill(os.getpid(), signal.SIGTERM)
+
+        async with asyncio.timeout(30.0):
+            await root.run(simulated, bind_api, world=World(WorldSettings(), seed=0), extra_task=stop_after_some_cycles)
+
+    asyncio.run(main())
+    assert not (tmp_path / "last_config.json").exists()
+
+
+def test_with_the_last_valid_configuration_nothing_new_is_gripped_or_lifted() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        await cell.lift()
+        cell.service.config_problem = "config.toml: guard.forse: no such key. Correct the file"
+        for request in (GraspRequest(), LiftRequest(), ActivateRequest(confirm=True)):
+            with pytest.raises(CommandRefused, match=f"cannot {request.kind}: config.toml: guard.forse"):
+                await cell.submit(request)
+        await cell.submit(GuardRequest(on=True))
+        await cell.lower()
+        assert cell.phase is Phase.HOLDING
+        await cell.release()
+        assert await reloader(cell, config).reload()
+        await cell.grasp()
+
+    play(Cell("wrench", 1), scene)
 
 
 def test_sighup_reads_the_file_begins_a_new_recording_and_keeps_the_configuration(

@@ -20,6 +20,7 @@ from slipguard.daemon.api.requests import (
     DaemonRequest,
     GraspRequest,
     GuardRequest,
+    LiftRequest,
     MoveJawsRequest,
     RestoreBackgroundRequest,
 )
@@ -116,6 +117,9 @@ class RequestHandlers(DaemonApi):
     async def submit(self, request: DaemonRequest, deadline_s: float | None = None) -> Mapping[str, object]:
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + EXECUTE_WITHIN_S if deadline_s is None else deadline_s
+        problem = self._service.config_problem
+        if problem is not None and isinstance(request, GraspRequest | LiftRequest | ActivateRequest):
+            raise CommandRefused(f"cannot {request.kind}: {problem}")
         match request:
             case CalibrateRequest():
                 return calibration_response(await self.calibrate(request))

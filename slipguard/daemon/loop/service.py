@@ -82,7 +82,7 @@ class Service:
     ) -> None:
         self.config = config
         self.config_problem: str | None = None
-        """Why the configuration file is not in use."""
+        """Why the configuration file is not in use; until it is, nothing new is gripped or lifted."""
         self.store = store
         self.latency_stats = LatencyStats(FINGERS)
         self.observers: list[Callable[[Decision], None]] = [self.latency_stats.add_decision]
