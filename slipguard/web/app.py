@@ -111,6 +111,14 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
         """Send `history`, then `state` ten times per second, and each `event` at once."""
         await context.live.serve(socket)
 
+    @app.websocket("/frames/{finger}")
+    async def frames(socket: WebSocket, finger: str) -> None:
+        """Send each new frame of a finger, as it was captured."""
+        if finger in context.frames:
+            await context.frames[finger].serve(socket)
+        else:
+            await socket.send_denial_response(error_response(404, _no_finger(finger)))
+
 
 def _add_images(app: FastAPI, context: RouteContext) -> None:
     def responses(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
@@ -161,7 +169,11 @@ def _image_response(image: EncodedImage, media_type: str) -> Response:
 
 def _check_finger(finger: str) -> None:
     if finger not in FINGERS:
-        raise HTTPException(404, f"no finger {finger!r}; choose from: {', '.join(FINGERS)}")
+        raise HTTPException(404, _no_finger(finger))
+
+
+def _no_finger(name: str) -> str:
+    return f"no finger {name!r}; choose from: {', '.join(FINGERS)}"
 
 
 async def _bad_parameter(request: Request, raised: Exception) -> Response:

@@ -101,8 +101,8 @@ class DaemonProxy(DaemonApi):
     async def backgrounds(self) -> bytes:
         return (await self._call("backgrounds"))[1]
 
-    async def frame(self, finger: str) -> FingerFrame:
-        return await self._call_for_frame("frame", {"finger": finger})
+    async def frame(self, finger: str, after: int | None = None) -> FingerFrame:
+        return await self._call_for_frame("frame", {"finger": finger, "after": after})
 
     async def processed_frame(self, finger: str) -> FingerFrame:
         return await self._call_for_frame("processed_frame", {"finger": finger})

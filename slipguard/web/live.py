@@ -104,7 +104,7 @@ class LiveStream:
         await socket.accept()
         messages = [json.dumps({"type": "history", "samples": list(self._samples)}), *self._events]
         self._clients.add(client)
-        disconnected = asyncio.create_task(_wait_for_disconnect(socket), name="live: client")
+        disconnected = asyncio.create_task(wait_for_disconnect(socket), name="live: client")
         try:
             while not disconnected.done():
                 for text in messages:
@@ -123,7 +123,7 @@ class LiveStream:
             disconnected.cancel()
 
 
-async def _wait_for_disconnect(socket: WebSocket) -> None:
+async def wait_for_disconnect(socket: WebSocket) -> None:
     """Return when the client has disconnected; messages from it are ignored."""
     while (await socket.receive())["type"] != "websocket.disconnect":
         pass

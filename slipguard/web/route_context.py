@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from slipguard.daemon.api.daemon_api import DaemonApi
 from slipguard.web.access import Access
-from slipguard.web.images import FingerImages
+from slipguard.web.frame_broadcast import FrameBroadcast
+from slipguard.web.images import FINGERS, FingerImages
 from slipguard.web.live import PERIOD_S, LiveStream
 from slipguard.web.ttl_cache import TtlCache
 
@@ -23,6 +26,7 @@ class RouteContext:
         self.counters = TtlCache(daemon.counters, PERIOD_S)
         self.backgrounds = TtlCache(daemon.backgrounds, BACKGROUNDS_TTL_S)
         self.images = FingerImages(daemon)
+        self.frames = {finger: FrameBroadcast(partial(daemon.frame, finger)) for finger in FINGERS}
         self.live = LiveStream(self.state.get)
 
     def invalidate(self) -> None:

@@ -42,12 +42,17 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
         reported["state"], reported["tallies"] = await handlers.state(), await handlers.counters()
         reported["view"] = await handlers.processed_frame("left")
         assert cell.world is not None
+        sequence = (await handlers.frame("left")).frame.sequence
+        assert (await handlers.frame("left", after=sequence)).frame.sequence == sequence + 1, "waits for the next"
+        assert (await handlers.frame("left", after=sequence - 1)).frame.sequence == sequence + 1, "does not wait"
         unsubscribe = handlers.subscribe(received.append)
         before = len(received)
         assert before > 0, "what was said before"
         cell.world.faults.fail("left", "stall")
         cell.world.faults.fail("right", "stall")
         await cell.until(lambda: cell.phase is Phase.FAULT)
+        with pytest.raises(CommandRefused, match=r"no (new )?frame of the left finger"):
+            await handlers.frame("left", after=cell.service.fingers["left"].capture.counts.frames)
         unsubscribe()
         await handlers.submit(ReleaseRequest(confirm=True))
         reported["after"] = received[before:]

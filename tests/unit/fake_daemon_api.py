@@ -72,7 +72,7 @@ class FakeDaemonApi(DaemonApi):
     async def counters(self) -> bytes:
         return b"{}"
 
-    async def frame(self, finger: str) -> FingerFrame:
+    async def frame(self, finger: str, after: int | None = None) -> FingerFrame:
         if self.failure is not None:
             raise self.failure
         image = np.random.default_rng(self.frames).integers(0, 256, (320, 240, 3), np.uint8)

@@ -18,6 +18,8 @@ from slipguard.daemon.loop.event_log import Event
 from slipguard.devices import Frame
 from slipguard.perception.contact.patch import ClippedSides
 
+NEXT_FRAME_TIMEOUT_S = 1.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactOverlay:
@@ -61,8 +63,11 @@ class DaemonApi(Protocol):
         """Return counts and times since the start as a JSON object; see `slipguard.daemon.loop.loop_metrics`."""
 
     @abstractmethod
-    async def frame(self, finger: str) -> FingerFrame:
-        """Return the newest frame of a finger, without a contact."""
+    async def frame(self, finger: str, after: int | None = None) -> FingerFrame:
+        """Return the newest frame of a finger, without a contact.
+
+        after: while the newest frame has this sequence number, wait up to `NEXT_FRAME_TIMEOUT_S` for the next one.
+        """
 
     @abstractmethod
     async def processed_frame(self, finger: str) -> FingerFrame:

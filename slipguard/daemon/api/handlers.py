@@ -12,7 +12,7 @@ from pathlib import Path
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.background_capture import BackgroundCapture
-from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
+from slipguard.daemon.api.daemon_api import NEXT_FRAME_TIMEOUT_S, ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.api.requests import (
     EXECUTE_WITHIN_S,
     ActivateRequest,
@@ -86,11 +86,18 @@ class RequestHandlers(DaemonApi):
     async def counters(self) -> bytes:
         return json.dumps(self._metrics.as_dict()).encode()
 
-    async def frame(self, finger: str) -> FingerFrame:
+    async def frame(self, finger: str, after: int | None = None) -> FingerFrame:
         one = self._finger(finger)
         newest = one.capture.newest_frame
+        if newest is not None and newest.sequence == after:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(NEXT_FRAME_TIMEOUT_S):
+                    await one.capture.frame_arrived.wait()
+            newest = one.capture.newest_frame
         if newest is None or one.serial is None:
             raise CommandRefused(f"no frame of the {finger} finger: {one.health.reason}")
+        if newest.sequence == after:
+            raise CommandRefused(f"no new frame of the {finger} finger for {NEXT_FRAME_TIMEOUT_S:g} s")
         return FingerFrame(one.serial, newest)
 
     def _finger(self, name: str) -> Finger:

@@ -117,6 +117,8 @@ class SensorCapture:
         """The last good frame; None while the sensor is gone."""
         self.frames: LatestValue[tuple[Frame, float]] = LatestValue()
         """The newest frame not yet processed, and the loop time at which it was received."""
+        self.frame_arrived = asyncio.Event()
+        """Set for a moment by each good frame: wakes all that wait for the next one."""
         self.streaming = False
         self._copies: asyncio.Queue[Frame] | None = None
         self._backoff = Backoff(retry_s, longest_s=2 * retry_s)  # a cable pushed in again is noticed within a second
@@ -210,6 +212,8 @@ class SensorCapture:
             self.counts.missed += max(0, frame.sequence - sequence - 1) if sequence is not None else 0
             sequence = frame.sequence
             self.newest_frame = frame
+            self.frame_arrived.set()
+            self.frame_arrived.clear()
             if self._copies is not None and not self._copies.full():
                 self._copies.put_nowait(frame)
             self.frames.put((frame, received_at_s))
