@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from slipguard.errors import InputError
 from slipguard.sim.background_image import background_image
 from slipguard.sim.camera_noise import CameraNoise
+from slipguard.sim.gel_effects import GelMemory
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprint, Imprinter
@@ -43,9 +45,12 @@ class GelCamera:
 
     Args:
         background: background image (320, 240, 3) uint8 BGR instead of the unit's; InputError for another shape.
+        memory: memory of the gel for past imprints; every image drawn is one frame later.
     """
 
-    def __init__(self, unit: SensorUnit, background: Image | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, unit: SensorUnit, background: Image | None = None, seed: int = 0, memory: GelMemory | None = None
+    ) -> None:
         self.unit = unit
         self._background = background_image(unit) if background is None else background
         shape = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
@@ -57,12 +62,19 @@ class GelCamera:
         self._imprinter = Imprinter(unit, self._background)
         self._noise = CameraNoise(unit.noise_bgr, unit.stripe_bgr, seed)
         self._last: tuple[GelView, float, HeightRaster | None, Imprint | None] | None = None
+        self._memory = memory
+        self._past = np.zeros(shape, np.float32)
+        self._now: Field = self._past
         self._light = LightChange()
         self._lit_background = self._background.astype(np.float32)
 
     def no_contact(self) -> Image:
         """Return the unit's background image, without noise and without light changes."""
         return self._background.copy()
+
+    def settle(self) -> None:
+        """Let the gel's memory take on the last imprint, as after a long hold."""
+        self._past = self._now.copy()
 
     def reseed(self, seed: int) -> None:
         """Restart the noise sequence with another seed, on the same noise array."""
@@ -107,9 +119,21 @@ class GelCamera:
 
     def _finish(self, imprint: Imprint | None) -> Image:
         noise = self._noise.next()
+        if self._memory is not None:
+            remembered = self._remember(imprint, self._memory)
+            return cast("Image", cv2.add(self._lit_background + remembered, noise, dtype=cv2.CV_8U))
         image = cv2.add(self._lit_background, noise, dtype=cv2.CV_8U)
         if imprint is not None:
             window = imprint.window
             change = imprint.change_bgr + self._lit_background[window]
             image[window] = cv2.add(change, noise[window], dtype=cv2.CV_8U)
         return cast("Image", image)
+
+    def _remember(self, imprint: Imprint | None, memory: GelMemory) -> Field:
+        """Return the change of the image by this imprint and the past ones, which it joins."""
+        self._now = np.zeros_like(self._past)
+        if imprint is not None:
+            self._now[imprint.window] = imprint.change_bgr
+        shown = np.float32(1.0 - memory.share) * self._now + np.float32(memory.share) * self._past
+        self._past += np.float32(1.0 - math.exp(-memory.frame_s / memory.fade_s)) * (self._now - self._past)
+        return f32(shown)

@@ -76,10 +76,11 @@ class Shading:
         rows, columns = np.mgrid[-margin_px : FRAME_HEIGHT_PX + margin_px, -margin_px : FRAME_WIDTH_PX + margin_px]
         right = ((columns - (FRAME_WIDTH_PX - 1) / 2) / unit.px_per_mm).astype(np.float32)
         down = ((rows - (FRAME_HEIGHT_PX - 1) / 2) / unit.px_per_mm).astype(np.float32)
-        self.sag_mm = ((right**2 + down**2) / (2.0 * unit.dome_radius_mm)).astype(np.float32)
+        long_radius_mm = unit.dome_radius_mm * unit.dome_aspect**2
+        self.sag_mm = ((right**2 + down**2 / unit.dome_aspect**2) / (2.0 * unit.dome_radius_mm)).astype(np.float32)
         """Distance of the undeformed gel behind its crown, towards the camera."""
         self._mix = np.asarray(unit.crosstalk, np.float32)
-        self._tilt = (right / np.float32(unit.dome_radius_mm), down / np.float32(unit.dome_radius_mm))
+        self._tilt = (right / np.float32(unit.dome_radius_mm), down / np.float32(long_radius_mm))
         self._slope_scale = unit.px_per_mm / 8.0
         glow = _glow(background, margin_px, unit.glow_share)
         self._leds = [self._led(unit, channel, right, down, glow[..., channel]) for channel in range(3)]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.sim.gel_effects import GelEffects
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +25,7 @@ class GelView:
         angle_deg: object angle, counter-clockwise in the image.
         depth_mm: overlap of the object's highest point with the undeformed gel; <= 0 without contact.
         vx_mm_s, vy_mm_s, rate_deg_s: motion in the image, for motion blur.
+        effects: tilt of the object and deformation of the imprint; None for neither. Encoded images do not carry it.
     """
 
     object_name: str
@@ -34,9 +36,10 @@ class GelView:
     vx_mm_s: float = 0.0
     vy_mm_s: float = 0.0
     rate_deg_s: float = 0.0
+    effects: GelEffects | None = None
 
 
-_ENCODED_FIELDS = tuple(field.name for field in fields(GelView) if field.name != "object_name")
+_ENCODED_FIELDS = tuple(field.name for field in fields(GelView) if field.name not in ("object_name", "effects"))
 DECODED_NAME = "object"
 """Name of a decoded object; encoding keeps only whether there is one."""
 
@@ -53,4 +56,6 @@ def encode_view(view: GelView, light_bgr: tuple[float, float, float], number: in
 def decode_view(image: NDArray[np.uint8]) -> tuple[GelView, tuple[float, float, float]]:
     values = np.frombuffer(image[0].tobytes()[: 8 * (len(_ENCODED_FIELDS) + 5)], np.float64)
     _, present, blue, green, red, *pose = (float(value) for value in values)
-    return GelView(DECODED_NAME if present else "", *pose), (blue, green, red)
+    x_mm, y_mm, angle_deg, depth_mm, vx_mm_s, vy_mm_s, rate_deg_s = pose
+    name = DECODED_NAME if present else ""
+    return GelView(name, x_mm, y_mm, angle_deg, depth_mm, vx_mm_s, vy_mm_s, rate_deg_s), (blue, green, red)

@@ -7,7 +7,7 @@ reaches; the full resolution is computed only there.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import cv2
@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.errors import InputError
+from slipguard.sim.gel_effects import TILT_FLOOR_MM, GelEffects
 from slipguard.sim.gel_optics import STEP_PX, Shading, displaced_gel, led_visibility
 from slipguard.sim.gel_view import GelView
-from slipguard.sim.height_raster import HeightRaster, height_raster_of
+from slipguard.sim.height_raster import FLOOR_MM, HeightRaster, height_raster_of
 from slipguard.sim.raster import Field, blurred, enlarged, f32
 from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
+from slipguard.sim.shapes import rotated
 
 _PAD_CELLS = 8
 """The coarse grid extends this far beyond the frame: a press outside still deforms and shades the gel inside."""
@@ -37,6 +39,8 @@ _BLUR_MIN_PX = 0.7
 """With less motion during the exposure there is no motion blur."""
 _MOTION_REACH_MM = 8.0
 _MOTION_LIMIT_PX = 60.0
+_BISECTIONS = 9
+"""Finds a depth to 0.005 mm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +82,17 @@ class Imprinter:
         pose = (view.x_mm, view.y_mm, view.angle_deg, view.depth_mm, view.vx_mm_s, view.vy_mm_s, view.rate_deg_s)
         if not all(map(math.isfinite, pose)):
             raise InputError(f"the pose must be finite: {view}")
+        if view.effects is not None:
+            view.effects.check()
         if view.depth_mm <= 0.0:
             return None
-        raster = height_raster_of(view.object_name) if raster is None else raster
+        raster = _raster_of(view) if raster is None else raster
         overlap_mm = self._overlap(raster, view, STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
+        if view.effects is not None and view.effects.tilted:
+            level_mm = self._overlap(raster, replace(view, effects=None), STEP_PX, (-_PAD_CELLS, -_PAD_CELLS), _GRID)
+            deeper_mm = _deeper_by(level_mm, overlap_mm)
+            view = replace(view, depth_mm=view.depth_mm + deeper_mm)
+            overlap_mm += np.float32(deeper_mm)
         if float(overlap_mm.max()) <= 0.0:
             return None
         gel_mm = displaced_gel(overlap_mm, self._unit)
@@ -137,7 +148,10 @@ class Imprinter:
         to_object = np.array(
             [[c * spacing, -s * spacing, c * dx + s * dy], [-s * spacing, -c * spacing, -s * dx + c * dy]]
         )
-        overlap = raster.posed(to_object, size, coarse=step > 1)
+        if view.effects is None:
+            overlap = raster.posed(to_object, size, coarse=step > 1)
+        else:
+            overlap = _with_effects(raster, view, view.effects, (dx, dy), spacing, size)
         overlap += np.float32(view.depth_mm)
         self._subtract_dome(overlap, view, (right0, up0), spacing)
         return overlap
@@ -151,7 +165,9 @@ class Imprinter:
         right = start[0] + spacing * np.arange(columns, dtype=np.float32)
         up = start[1] - spacing * np.arange(rows, dtype=np.float32)
         overlap -= np.float32(share) * right * right
-        overlap -= (np.float32(share) * up * up - np.float32(share * (view.x_mm**2 + view.y_mm**2)))[:, None]
+        share_up = share / self._unit.dome_aspect**2
+        origin_mm = share * (view.x_mm**2 + view.y_mm**2 / self._unit.dome_aspect**2)
+        overlap -= (np.float32(share_up) * up * up - np.float32(origin_mm))[:, None]
 
     def _motion_px(self, view: GelView, exposure_s: float) -> float:
         """Return the largest motion of a point of the imprint during the exposure, pixels."""
@@ -179,6 +195,51 @@ class Imprinter:
             share = 0.5 ** (k + 1)
             change = f32(cv2.addWeighted(moved(change, share / 2), 0.5, moved(change, -share / 2), 0.5, 0.0))
         return change
+
+
+def _deeper_by(level_mm: Field, tilted_mm: Field) -> float:
+    """Return by how much a tilted object is pressed deeper (< 0: less deep) at the same force, at most to the floor.
+
+    The gel is taken as a bed of springs: the force is the sum of the overlaps.
+    """
+    force = float(np.maximum(level_mm, 0.0).sum())
+    top_mm = float(tilted_mm.max())
+    low, high = -top_mm, -FLOOR_MM - top_mm
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if float(np.maximum(tilted_mm + np.float32(middle), 0.0).sum()) < force:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _raster_of(view: GelView) -> HeightRaster:
+    if view.effects is None or not view.effects.tilted:
+        return height_raster_of(view.object_name)
+    return height_raster_of(view.object_name, TILT_FLOOR_MM)
+
+
+def _with_effects(
+    raster: HeightRaster,
+    view: GelView,
+    effects: GelEffects,
+    corner_mm: tuple[float, float],
+    spacing_mm: float,
+    size: tuple[int, int],
+) -> Field:
+    """Return the heights of an object with its effects on a grid. corner_mm: from the object's origin, right and up."""
+    right = np.float32(corner_mm[0]) + np.float32(spacing_mm) * np.arange(size[0], dtype=np.float32)
+    up = np.float32(corner_mm[1]) - np.float32(spacing_mm) * np.arange(size[1], dtype=np.float32)
+    x, y = np.meshgrid(right, up)
+    if effects.deformed:
+        x, y = effects.undeformed(f32(x), f32(y))
+    u, v = rotated(f32(x), f32(y), view.angle_deg)
+    heights = raster.sampled(u, v, coarse=spacing_mm > 2.0 / raster.px_per_mm)
+    if effects.tilted:
+        heights += np.float32(math.tan(math.radians(effects.pitch_deg))) * u
+        heights += np.float32(math.tan(math.radians(effects.roll_deg))) * v
+    return heights
 
 
 def _frame_cells(changed: NDArray[np.bool_], grow: int) -> tuple[int, int, int, int] | None:

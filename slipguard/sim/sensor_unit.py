@@ -27,7 +27,8 @@ class SensorUnit:
 
     Attributes:
         px_per_mm: 18.15-18.63 on four units with a caliper, 15.9-19.6 across sources.
-        dome_radius_mm: curvature of the gel towards the object.
+        dome_radius_mm: curvature of the gel towards the object, across its short side; infinite for a flat gel.
+        dome_aspect: length over width of a dome's height lines: above 1 it is long in the image's vertical direction.
         dome_share: share of the dome's sag that affects a flat object (0-1).
         led_azimuth_deg: counter-clockwise from the image's right.
         led_radius_mm, led_height_mm: from the gel's crown.
@@ -49,6 +50,7 @@ class SensorUnit:
     px_per_mm: float = 18.5
     dome_radius_mm: float = 90.0
     dome_share: float = 0.15
+    dome_aspect: float = 1.0
     led_azimuth_deg: Triple = (260.3, 138.3, 38.3)
     led_radius_mm: float = 20.0
     led_height_mm: Triple = (3.91, 5.04, 4.82)
