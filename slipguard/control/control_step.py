@@ -75,13 +75,25 @@ def step(state: GraspState, observation: Observation, params: GuardParams) -> Re
     watched = observation if lost is None else observation.with_fault(lost)
     at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and state.waits_for_gripper)
     if watched.fault is not None and at_stake:
-        return _halt_jaws(*latch(state, watched, watched.fault, StepOutput()), observation)
+        state, output = _halt_jaws(*latch(state, watched, watched.fault, StepOutput()), observation)
+        return state, _refuse_request(watched.fault, output, observation)
+    before = state.phase
     state, output = act(state, watched, params)
     state, output = _keep_force(state, output, observation)
     state, output = _halt_jaws(state, output, observation)
     state, output = _report_notes(state, output, observation)
-    state, output = handle_request(state, output, observation, params)
+    if state.fault is not None and state.phase is Phase.FAULT and before is not Phase.FAULT:
+        output = _refuse_request(state.fault, output, observation)
+    else:
+        state, output = handle_request(state, output, observation, params)
     return state, replace(output, fault=state.fault)
+
+
+def _refuse_request(fault: Fault, output: StepOutput, observation: Observation) -> StepOutput:
+    """Refuse the request of the step in which a fault is latched: it was made before the fault was reported."""
+    if observation.request.kind is RequestKind.NONE:
+        return output
+    return replace(output, refusal=Text.FAULT_LATCHED.message(code=fault.code))
 
 
 def _follow_arm(state: GraspState, observation: Observation) -> GraspState:

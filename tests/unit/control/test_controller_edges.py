@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from controller_steps import NOW_S, PARAMS, seen_in, state_in
+from controller_steps import FAULT, NOW_S, PARAMS, seen_in, state_in
 from observations import arm, ask, estimate, fused, gripper, observation
 from records import changed, grasp_state, released_mm
 
@@ -61,6 +61,26 @@ def test_a_grasp_is_refused_in_words(jaws: GripperState | None, says: str) -> No
     assert says in str(command.refusal)
     assert command.hold_force_n is None
     assert state.phase is Phase.IDLE
+
+
+REQUESTS = [kind for kind in RequestKind if kind not in (RequestKind.NONE, RequestKind.RELEASE)]
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+def test_a_request_in_the_step_of_a_fault_is_refused(kind: RequestKind) -> None:
+    seen = seen_in(Phase.HOLDING, fault=FAULT, request=ask(kind))
+    state, command = step(state_in(Phase.HOLDING), seen, PARAMS)
+    assert (state.phase, command.fault) == (Phase.FAULT, FAULT)
+    assert str(command.refusal) == "a fault is latched (arm silent); clear it first"
+    assert step(state_in(Phase.HOLDING), seen_in(Phase.HOLDING, fault=FAULT), PARAMS)[1].refusal is None
+
+
+@pytest.mark.parametrize("kind", REQUESTS)
+def test_a_request_in_the_step_in_which_the_closing_takes_too_long_is_refused(kind: RequestKind) -> None:
+    seen = seen_in(Phase.CLOSING, request=ask(kind))
+    state, command = step(state_in(Phase.CLOSING, since_s=NOW_S - 60.0), seen, PARAMS)
+    assert state.phase is Phase.FAULT, "a `clear` does not end a fault that nothing has reported yet"
+    assert str(command.refusal) == "a fault is latched (gripper stuck); clear it first"
 
 
 @pytest.mark.parametrize(
