@@ -26,6 +26,8 @@ class DeclineReason(StrEnum):
     DISAGREE = "estimators disagree"
     UNCERTAIN = "too uncertain"
     JUMP = "implausible jump"
+    REGAINED = "rotation after a gap not confirmed yet"
+    SEVERAL_ROTATIONS = "texture fits at several rotations"
     NOT_A_NUMBER = "not a number"
     UNLIKE_BACKGROUND = "image unlike the background image"
     OUT_OF_FOCUS = "image out of focus"

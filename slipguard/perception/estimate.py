@@ -24,6 +24,19 @@ class AxisEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class UnconfirmedRotation:
+    """A rotation that several frames in a row agree on, declined as an implausible jump; the other finger may confirm.
+
+    axial: it may also be 180 degrees more or less, because only the contact's axis shows it.
+    """
+
+    rotation_deg: float
+    sigma_deg: float
+    rate_deg_s: float
+    axial: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """The rotation of the object in one finger's image since the reference.
 
@@ -36,6 +49,7 @@ class Estimate:
     measured_at_s: capture time of the measured frame; older than `captured_at_s` after a skip.
     skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
     declined: None, or why there is no angle, a `DeclineReason` with details after a colon.
+    unconfirmed: a declined rotation that counts if the other finger confirms it.
     """
 
     sequence: int
@@ -51,6 +65,7 @@ class Estimate:
     shift_mm: tuple[float, float] | None = None
     skipped: str | None = None
     declined: str | None = None
+    unconfirmed: UnconfirmedRotation | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -197,6 +197,7 @@ class Pipeline:
             rate_deg_s=None if rotation.rotation_deg is None else self._meter.rate_deg_s(now_s),
             shift_mm=None if measurement.shift_px is None else self._shift_mm(measurement.shift_px),
             declined=None if rotation.declined is None else str(rotation.declined),
+            unconfirmed=rotation.unconfirmed,
             stage_ms=timer.stage_ms,
         )
         timer.mark("track")

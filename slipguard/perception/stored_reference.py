@@ -92,9 +92,21 @@ class ResumingPipeline:
         if self.stored_reference_state == "waiting" and estimate.contact:
             declined = str(DeclineReason.CHECKING_STORED_REFERENCE)
             return replace(
-                estimate, rotation_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None, declined=declined
+                estimate,
+                rotation_deg=None,
+                sigma_deg=None,
+                rate_deg_s=None,
+                shift_mm=None,
+                declined=declined,
+                unconfirmed=None,
             )
-        if estimate.rotation_deg is None or not self.earlier_rotation_deg:
+        if not self.earlier_rotation_deg:
+            return estimate
+        if estimate.unconfirmed is not None:
+            jump = estimate.unconfirmed
+            jump = replace(jump, rotation_deg=jump.rotation_deg + self.earlier_rotation_deg)
+            return replace(estimate, unconfirmed=jump)
+        if estimate.rotation_deg is None:
             return estimate
         return replace(estimate, rotation_deg=estimate.rotation_deg + self.earlier_rotation_deg)
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slipguard.perception.declined import DeclineReason, explain
+from slipguard.perception.estimate import UnconfirmedRotation
 from slipguard.perception.rotation.axial_angle import nearest_rotation_deg
 
 AGREE_SIGMAS = 3.0
@@ -30,11 +31,15 @@ difference from the background image, beyond the first level. A slope of 6 level
 
 @dataclass(frozen=True, slots=True)
 class RotationEstimate:
-    """A rotation since the reference, degrees counter-clockwise, with its sigma; declined: why there is none."""
+    """A rotation since the reference, degrees counter-clockwise, with its sigma; declined: why there is none.
+
+    unconfirmed: a rotation that is declined unless the other finger confirms it.
+    """
 
     rotation_deg: float | None
     sigma_deg: float | None
     declined: str | None = None
+    unconfirmed: UnconfirmedRotation | None = None
 
 
 def fuse_rotation(

@@ -21,7 +21,7 @@ from slipguard.perception.rotation.fusion import (
     is_certain,
     needs_contour,
 )
-from slipguard.perception.rotation.rotation_tracker import RotationTracker
+from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker
@@ -98,7 +98,6 @@ class RotationMeter:
         self._tracker = RotationTracker() if tracker is None else tracker
         self._template: ContourTemplate | None = None
         self._pose = ContourPose()
-        self._kept_at_s = -math.inf
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
 
     def rate_deg_s(self, now_s: float) -> float | None:
@@ -116,7 +115,7 @@ class RotationMeter:
     def note_kept(self, now_s: float) -> None:
         """Note that the frame of `now_s` is not measured, and that its rotation is known to be unchanged."""
         self._note_gap(now_s)
-        self._kept_at_s = now_s
+        self._tracker.note_kept(now_s)
 
     def measure(self, image: NDArray[np.uint8], patch: Patch, now_s: float, timer: StageTimer) -> RotationMeasurement:
         """Measure rotation and shift since the reference, which this patch may become.
@@ -137,9 +136,10 @@ class RotationMeter:
         if self.reference is None:
             return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, axes)
         reference, name = self.reference, self._settings.estimator
-        predicted_deg = self._tracker.predicted_deg(now_s)
+        predicted_deg = self._predicted_deg(reference, now_s)
         axis = rotation_of_axes(reference.axes, axes, predicted_deg)
         self._note_gap(now_s)
+        lost = now_s - self._tracker.known_at_s > GAP_S
         center_px = patch.center_px
         center_shift_px = (center_px[0] - reference.center_px[0], center_px[1] - reference.center_px[1])
 
@@ -150,14 +150,20 @@ class RotationMeter:
         texture_map = self._read_texture(reference, image, patch)
         found = None
         if texture_map is not None and reference.texture is not None:
-            found = reference.texture.track(texture_map, patch, predicted_deg, axis)
+            if lost and reference.texture.period_deg is None:
+                found = reference.texture.search_everywhere(texture_map, patch, predicted_deg)
+                if found.rotation.rotation_deg is not None:
+                    predicted_deg = found.rotation.rotation_deg
+                    axis = rotation_of_axes(reference.axes, axes, predicted_deg)
+            else:
+                found = reference.texture.track(texture_map, patch, predicted_deg, axis)
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
         texture = None if found is None else found.rotation
         shift_px = center_shift_px if found is None else found.complete_shift(center_shift_px)
 
         if not needs_contour(texture, axis):
             rotation = fuse_rotation(texture, None, axis if name == "fused" else None)
-            return RotationMeasurement(self._accept(now_s, rotation), shift_px, axes)
+            return RotationMeasurement(self._accept(now_s, rotation, by_texture=True), shift_px, axes)
 
         certain = texture is not None and is_certain(texture)
         if not certain:
@@ -166,7 +172,7 @@ class RotationMeter:
         near_deg = predicted_deg if texture is None or texture.rotation_deg is None else texture.rotation_deg
         contour = self._measure_contour(reference, patch, axis, near_deg, center_shift_px, from_axis=not certain)
         timer.mark("register")
-        if found is not None and texture_map is not None and reference.texture is not None:
+        if found is not None and texture_map is not None and reference.texture is not None and not lost:
             shape = contour.axis if contour.rotation.rotation_deg is None else contour.rotation
             found = reference.texture.track_again(texture_map, patch, predicted_deg, found, shape, contour.shift_px)
         timer.mark("relief")
@@ -211,7 +217,6 @@ class RotationMeter:
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._template = None
         self._pose = ContourPose(rotation_deg or 0.0)
-        self._kept_at_s = -math.inf
         return axes
 
     def _is_stable(self, patch: Patch) -> bool:
@@ -222,23 +227,26 @@ class RotationMeter:
         largest, smallest = max(self._areas), min(self._areas)
         return len(self._areas) == STABLE_FRAMES and largest - smallest < STABLE_SHARE * largest
 
-    def _accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
+    def _predicted_deg(self, reference: Reference, now_s: float) -> float:
+        """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
+        if reference.texture is None or reference.texture.period_deg is None:
+            return self._tracker.predicted_deg(now_s)
+        return self._tracker.extrapolated_deg(now_s)
+
+    def _accept(self, now_s: float, rotation: RotationEstimate, by_texture: bool = False) -> RotationEstimate:
         """Decline a rotation that is too uncertain or implausible; add it to the history otherwise."""
         limit = self._settings.sigma_max_deg
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"
             rotation = RotationEstimate(None, None, explain(DeclineReason.UNCERTAIN, detail))
-        return self._tracker.accept(now_s, rotation)
+        return self._tracker.accept(now_s, rotation, by_texture)
 
     def _note_gap(self, now_s: float) -> None:
         """Pass on the time since the rotation was last known: a periodic texture may have rotated by a period."""
         if self.reference is None or self.reference.texture is None:
             return
-        known_at_s = self._tracker.known_at_s
-        rate = self._tracker.rate_deg_s(known_at_s) or 0.0
-        if known_at_s < self._kept_at_s <= now_s:
-            known_at_s = self._kept_at_s
-        self.reference.texture.note_gap(now_s - known_at_s, rate)
+        tracker = self._tracker
+        self.reference.texture.note_gap(now_s - tracker.known_at_s, tracker.last_rate_deg_s, tracker.unexpected_deg)
 
     def _read_texture(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> TextureMap | None:
         return None if self._reader is None or reference.texture is None else self._reader.read(image, patch)

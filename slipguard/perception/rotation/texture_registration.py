@@ -44,6 +44,10 @@ STATIC_BIAS_MAX = 3.0
 """Largest bias by a static pattern, as a share of the found rotation."""
 STATIC_PRIOR = 1e-3
 """If a rotation changes the reference by less than this share of its square, a static pattern cannot be detected."""
+SEARCH_STEP_DEG, SEARCH_POINTS = 4.0, 500
+"""A search of all rotations takes these steps, with this many points of the texture."""
+SEARCH_STARTS, APART_DEG = 4, 12.0
+"""It returns this many of the best, if they are this far apart."""
 
 FLOOR_DEG = 0.03
 SIGMA_SHARES = (1.25, 0.032, 0.72, 0.25)
@@ -197,6 +201,32 @@ def _sampled_at(
     value = sampled(texture_map.curvature, x, y, cv2.BORDER_REPLICATE)
     inside = (x >= EDGE_PX) & (x <= columns - 1 - EDGE_PX) & (y >= EDGE_PX) & (y <= rows - 1 - EDGE_PX)
     return value, inside.astype(np.float32)
+
+
+def likely_rotations_deg(
+    template: TextureTemplate, texture_map: TextureMap, shift_px: tuple[float, float]
+) -> list[float]:
+    """Return the rotations at which the texture correlates best, the best first, at least `APART_DEG` apart."""
+    step = max(template.value.size // SEARCH_POINTS, 1)
+    x, y, own = template.x_px[::step], template.y_px[::step], template.value[::step]
+    window = texture_map.window
+    center_x = np.float32(template.center_px[0] + shift_px[0] - window.left_px)
+    center_y = np.float32(template.center_px[1] + shift_px[1] - window.top_px)
+    rotations_deg = np.arange(-180.0, 180.0, SEARCH_STEP_DEG)
+    c = np.cos(np.radians(rotations_deg)).astype(np.float32)[:, None]
+    s = np.sin(np.radians(rotations_deg)).astype(np.float32)[:, None]
+    value = cv2.remap(
+        texture_map.curvature, c * x + s * y + center_x, c * y - s * x + center_y, cv2.INTER_LINEAR, borderValue=0.0
+    )
+    alike = (value @ own) / np.sqrt(np.einsum("ij,ij->i", value, value) + 1e-9)
+    found: list[float] = []
+    for k in np.argsort(-alike):
+        candidate_deg = float(rotations_deg[k])
+        if all(abs(math.remainder(candidate_deg - one, 360.0)) >= APART_DEG for one in found):
+            found.append(candidate_deg)
+        if len(found) == SEARCH_STARTS:
+            break
+    return found
 
 
 def static_pattern_bias(motion: Field, weight: Field, difference: Field, unmoved: Field) -> float:

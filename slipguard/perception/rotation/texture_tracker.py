@@ -14,10 +14,17 @@ import math
 from dataclasses import dataclass, replace
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
-from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, fit_texture, sigma_deg
+from slipguard.perception.rotation.texture_registration import (
+    APART_DEG,
+    TextureFit,
+    TexturePose,
+    fit_texture,
+    likely_rotations_deg,
+    sigma_deg,
+)
 from slipguard.perception.rotation.texture_template import (
     PERIOD_STEP_DEG,
     TextureTemplate,
@@ -36,12 +43,15 @@ KEY_STEP = 1.2
 """A key replaces another one only at a sigma larger by this factor."""
 RETRY_DEG = 4.0
 """If the contour's rotation differs by more than this, the texture is also searched for there."""
-ACCELERATION_DEG_S2 = 5_000.0
-"""Largest assumed acceleration of an object that starts to rotate in a gap: a rod of 8 cm, held at its end with half
-the force it needs; without any force it is twice as high. With that, no fine teeth could be counted across one lost
-frame at 30 Hz."""
+ACCELERATION_DEG_S2 = 20_000.0
+"""Largest assumed acceleration of an object that rotates between two frames: a rod of 8 cm that is held at its end
+without any force reaches half of it. Teeth as fine as 26 are counted across one lost frame at 60 Hz, not at 30 Hz."""
+UNEXPECTED_FREE_DEG = 0.15
+"""Noise of a rotation that is no acceleration."""
 PERIOD_SHARE = 0.4
 """Rotation from the expected one, as a share of the period, at which it may be the next one; 0.5 is the limit."""
+UNIQUE = 0.1
+"""After a gap, the texture's correlation must exceed that at every other rotation by this."""
 GAP_SHARE = 0.9
 """It may also be the next one if the way to the next period's place, times this share for its accuracy, is no longer
 than the possible rotation in the gap."""
@@ -107,10 +117,10 @@ class TextureTracker:
             self._period = (period_deg(self._first),)
         return self._period[0]
 
-    def note_gap(self, gap_s: float, rate_deg_s: float) -> None:
-        """Note the time since the rotation was last known, and its rate then."""
+    def note_gap(self, gap_s: float, rate_deg_s: float, unexpected_deg: float) -> None:
+        """Note the time since the rotation was last known, its rate then, and how much the last one was unexpected."""
         if not self.ambiguous:
-            self._gap_deg = possible_rotation_deg(gap_s, rate_deg_s)
+            self._gap_deg = possible_rotation_deg(gap_s, rate_deg_s, unexpected_deg)
             self.ambiguous = self._may_be_next_period(0.0, self._gap_deg)
 
     def track(
@@ -124,6 +134,33 @@ class TextureTracker:
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
         found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0)
         self.ambiguous = found.rotation.rotation_deg is None
+        return found
+
+    def search_everywhere(self, texture_map: TextureMap, patch: Patch, predicted_deg: float) -> TrackedTexture:
+        """Return the rotation after a gap, in which the object may have rotated by any angle.
+
+        All rotations are tried, about the present contact's center and about the last one. It is declined if the
+        texture fits nearly as well at another rotation, the one before the gap included.
+        """
+        first = self._first
+        if first.round_reason is not None:
+            return TrackedTexture(RotationEstimate(None, None, first.round_reason), 1.0)
+        x, y = (at / REDUCTION - center for at, center in zip(patch.center_px, first.center_px, strict=True))
+        starts = [replace(self._pose, rotation_deg=predicted_deg)]
+        starts += [TexturePose(found_deg, x, y) for found_deg in likely_rotations_deg(first, texture_map, (x, y))]
+        fits = sorted((fit_texture(first, texture_map, start) for start in starts), key=lambda fit: -fit.alike)
+        best = fits[0]
+        for other in fits[1:]:
+            apart_deg = abs(math.remainder(other.pose.rotation_deg - best.pose.rotation_deg, 360.0))
+            if best.declined is None and apart_deg > 0.5 * APART_DEG and other.alike > best.alike - UNIQUE:
+                detail = f"{best.pose.rotation_deg:+.0f} and {other.pose.rotation_deg:+.0f} deg"
+                return TrackedTexture(
+                    RotationEstimate(None, None, explain(DeclineReason.SEVERAL_ROTATIONS, detail)), 1.0
+                )
+        near_deg = predicted_deg + math.remainder(best.pose.rotation_deg - predicted_deg, 360.0)
+        found = self._tracked(first, best, (best.pose.dx_px, best.pose.dy_px), near_deg, 0.0)
+        if found.rotation.rotation_deg is not None:
+            self._pose = best.pose
         return found
 
     def track_again(
@@ -224,15 +261,19 @@ class TextureTracker:
         return TrackedTexture(rotation, fit.deformation, shift, smooth)
 
 
-def possible_rotation_deg(gap_s: float, rate_deg_s: float) -> float:
+def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float = 0.0) -> float:
     """Return how far an object may be from its expected rotation after a gap, degrees.
 
     Args:
         gap_s: Time since its rotation was last known.
-        rate_deg_s: Its rate then: it may have stopped at once, or accelerate.
+        rate_deg_s: Its mean rate in the frame before that: it may have stopped at once, or accelerate.
+        unexpected_deg: How far the last known rotation was from the expected one. If the acceleration began within that
+            frame the rate at its end was higher than the mean rate.
     """
     gap_s = max(gap_s, 0.0)
-    return max(abs(rate_deg_s) * gap_s, 0.5 * ACCELERATION_DEG_S2 * gap_s**2)
+    begun_deg = max(unexpected_deg - UNEXPECTED_FREE_DEG, 0.0)
+    lag_deg_s = min(math.sqrt(2.0 * ACCELERATION_DEG_S2 * begun_deg), 0.5 * ACCELERATION_DEG_S2 * gap_s)
+    return max(abs(rate_deg_s) * gap_s, lag_deg_s * gap_s + 0.5 * ACCELERATION_DEG_S2 * gap_s**2)
 
 
 def _reaches_next(by_deg: float, gap_deg: float, period: float) -> bool:
