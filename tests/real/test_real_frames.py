@@ -9,9 +9,13 @@ import pytest
 
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.datasets.mask_scores import iou
+from slipguard.devices import Frame
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import has_few_levels, is_coarsely_compressed
-from tests.campaigns.real_backgrounds import no_contact_frames
+from slipguard.perception.settings import PerceptionSettings
+from tests.campaigns.real_backgrounds import no_contact_frames, stale
 from tests.campaigns.real_frames import RealFrame, real_frames
 
 pytestmark = pytest.mark.real
@@ -82,6 +86,34 @@ def test_no_contact_is_reported_on_untouched_gels(
         masks_of([image], background, tmp_path / "masks", independent=True)
         said = json.loads(capsys.readouterr().out)
         assert said["contact"] is False, f"{frame.name}: {said['contact_area_px']} px called contact"
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_untouched_gels_show_no_contact_with_a_stale_background_image_or_none(real_data: Path, known: bool) -> None:
+    """Half of the frames are of units on which the limit was not chosen (the last three)."""
+    rng = np.random.default_rng(16)
+    segmenter, frames, false_contacts = Segmenter(), 0, 0
+    for path in sorted((real_data / "backgrounds").glob("*.png")):
+        background = cv2.imread(str(path))
+        for image in [background, *(stale(background, rng) for _ in range(9))]:
+            pipeline = Pipeline(segmenter, PerceptionSettings(), background if known else None, None, 18.5)
+            frames += 1
+            false_contacts += pipeline.process(Frame(image, 0.0, frames)).contact
+    print(f"{false_contacts} of {frames} untouched gels show a contact")
+    assert frames == 60
+    assert false_contacts <= 0.1 * frames if known else false_contacts == 0
+
+
+@pytest.mark.parametrize("group", ["taxim_sphere", "anytouch2_force2"])
+@pytest.mark.parametrize("split", ["tune", "test"])
+def test_masks_without_a_background_image(real_data: Path, group: str, split: str) -> None:
+    scores = []
+    for frame in of(real_data, group, split):
+        pipeline = Pipeline(Segmenter(), PerceptionSettings(), None, None, 18.5)
+        pipeline.process(Frame(frame.image, 0.0, 0))
+        scores.append(iou(pipeline.last_mask > 0, frame.mask))
+    print(f"{group}, {split}: {len(scores)} frames, mean IoU {np.mean(scores):.3f}")
+    assert np.mean(scores) >= 0.75
 
 
 def test_no_real_gel_has_a_stuck_line(real_data: Path) -> None:

@@ -21,6 +21,9 @@ COMPARABLE_SHARE = 0.30
 NEAR_SHARE = 0.08
 NEAR_PX = 6
 """A region this close to the largest (network pixels between the boxes) belongs to it if it has at least this share."""
+MEAN_MIN = 0.78
+"""Smallest mean probability of a region. Light and wear of an untouched gel give at most 0.78 (real units, a background
+image of another day or none); presses of objects reach 0.78 (real, no background image) and 0.92 (with one)."""
 
 CONTOUR_REACH = 5
 """Contour pixels on either side of one: smooth errors of the network are correlated over this length."""
@@ -108,6 +111,8 @@ class Patch:
 def find_patch(probability: NDArray[np.float32], threshold: float, min_area_px: float, frame_px: float) -> Patch | None:
     """Return the contact patch of a probability map, or None without contact.
 
+    A region in which the network is unsure all over is the gel's own light or wear, not a contact.
+
     Args:
         probability: (H, W) float32 in 0..1, at network resolution. NaN counts as 0; other values are clipped.
         threshold: A pixel is contact if its probability is above.
@@ -122,10 +127,11 @@ def find_patch(probability: NDArray[np.float32], threshold: float, min_area_px: 
     smallest = min_area_px / frame_px**2
     if count == 2:
         mask, regions = above, 1
-        if np.count_nonzero(above) < smallest:
+        area = np.count_nonzero(above)
+        if area < smallest or _sum(probability[above > 0]) < MEAN_MIN * area:
             return None
     else:
-        selected = _select_regions(labels, count, smallest)
+        selected = _select_regions(labels, probability, count, smallest)
         if not selected:
             return None
         keep = np.zeros(count, np.uint8)
@@ -134,10 +140,15 @@ def find_patch(probability: NDArray[np.float32], threshold: float, min_area_px: 
     return _crop(mask, probability, frame_px, regions)
 
 
-def _select_regions(labels: NDArray[np.uint16], count: int, smallest: float) -> list[int]:
+def _select_regions(
+    labels: NDArray[np.uint16], probability: NDArray[np.float32], count: int, smallest: float
+) -> list[int]:
     """Return the labels of the regions that form the patch, the largest first."""
     areas = np.bincount(labels.ravel(), minlength=count)
     areas[0] = 0
+    for label in np.flatnonzero(areas >= max(smallest, 1.0)).tolist():
+        if _sum(probability[labels == label]) < MEAN_MIN * areas[label]:
+            areas[label] = 0
     largest = int(areas.argmax())
     if areas[largest] < smallest:
         return []
@@ -159,6 +170,10 @@ def _select_regions(labels: NDArray[np.uint16], count: int, smallest: float) -> 
         if gap <= NEAR_PX:
             selected.append(label)
     return selected
+
+
+def _sum(probability: NDArray[np.float32]) -> float:
+    return float(np.minimum(probability, np.float32(1.0)).sum())
 
 
 def _crop(mask: NDArray[np.uint8], probability: NDArray[np.float32], frame_px: float, regions: int) -> Patch:

@@ -30,6 +30,9 @@ CONTRACT_ANY_INPUT = "2"
 DEFAULT_MODEL = "tsnn-small.onnx"
 ROUNDING = 1e-4
 """onnxruntime's sigmoid exceeds 1 by a few units in the last place."""
+UNKNOWN_ODDS = 0.35 / 0.65
+"""Odds of contact that count as even if the background image is estimated: the network then takes a part of an imprint
+for background, and shows too little of it."""
 REQUIRED_METADATA = ("slipguard_contract", "threshold", "label", "command", "seed")
 
 _Ports = dict[str, tuple[str, list[Any]]]
@@ -101,7 +104,8 @@ class Segmenter:
         if not self._takes_background:
             return self._run(small, small, known=False)
         if background is None:
-            return self._run(small, estimate_background(small), known=False)
+            probability = self._run(small, estimate_background(small), known=False)
+            return np.asarray(probability / (probability + UNKNOWN_ODDS * (1.0 - probability)), np.float32)
         if background is not self._background:
             self._background_small = _resized(background, self._size, "background image")
             self._background = background

@@ -77,6 +77,15 @@ def test_probability_far_from_the_patch_is_left_out() -> None:
     assert not patch.probability.flags.writeable
 
 
+def test_a_region_in_which_the_network_is_unsure_is_no_contact() -> None:
+    glow = np.float32(0.7) * disc((60, 80, 30))
+    assert find_patch(glow, 0.5, 200, 2.0) is None
+    contact = disc((60, 120, 15))
+    patch = find_patch(np.maximum(np.float32(0.7) * disc((60, 40, 25)), contact), 0.5, 200, 2.0)
+    assert patch is not None
+    assert patch.area_px == 4 * np.count_nonzero(contact > 0.5)
+
+
 @given(
     hnp.arrays(np.float32, (40, 30), elements=st.floats(-1, 2, width=32) | st.just(np.float32(np.nan))),
     st.floats(0.05, 0.95),
