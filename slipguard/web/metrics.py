@@ -127,6 +127,11 @@ class _StateCollector(Collector):
             value=recording.get("left_out", 0),
         )
         yield CounterMetricFamily(
+            "slipguard_observer_errors",
+            "Exceptions in recorder, metrics and other observers, without which the guard went on.",
+            value=self._counters.get("observer_errors", 0),
+        )
+        yield CounterMetricFamily(
             "slipguard_log_lines_lost",
             "Lines that were not logged because the terminal or journal was blocked.",
             value=self._counters.get("log_lines_lost", 0),

@@ -56,6 +56,8 @@ class Cell:
     says: list[str] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     ticks: int = 0
+    observer_errors: int = 0
+    """Errors of observers that a test expects."""
     loosened: str | None = None
     """The first moment at which the grip got weaker or wider without a release request."""
     tightest_n: float = 0.0
@@ -204,6 +206,7 @@ async def running(cell: Cell) -> AsyncIterator[Cell]:
         yield cell
         assert not task.done(), task
         assert cell.loosened is None, cell.loosened
+        assert cell.service.observer_errors == cell.observer_errors, cell.where
     finally:
         task.cancel()
         (end,) = await asyncio.gather(task, return_exceptions=True)

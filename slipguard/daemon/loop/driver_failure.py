@@ -32,15 +32,24 @@ def failure_reason(source: object, error: BaseException, health: Health) -> str:
     """
     if isinstance(error, SlipguardError):
         return str(error)
-    kind = type(source)
-    place = traceback.extract_tb(error.__traceback__)[-1:]
-    where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in place)
-    text = " ".join(str(error).split())
-    what = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    reason = f"error in {kind.__module__}.{kind.__qualname__}{where}: {what}; tried again, the grip stays"
+    reason = f"error in {error_place(type(source), error)}: {describe_error(error)}; tried again, the grip stays"
     if reason != health.reason:
         log.error(f"{health.name}: {reason}", exc_info=error)
     return reason
+
+
+def error_place(source: object, error: BaseException) -> str:
+    """Return the name of a class or function, and the file and line in which the exception was raised."""
+    source = getattr(source, "func", source)  # of a partial
+    place = traceback.extract_tb(error.__traceback__)[-1:]
+    where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in place)
+    return f"{source.__module__}.{getattr(source, '__qualname__', type(source).__qualname__)}{where}"
+
+
+def describe_error(error: BaseException) -> str:
+    """Return type and text of an exception in one line."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 async def close_contained(device: Closable, health: Health) -> None:

@@ -12,6 +12,8 @@ from typing import Literal
 
 import structlog
 
+from slipguard.daemon.loop.observers import Observers
+
 KEPT = 50
 KINDS_MAX = 200
 _FIGURES = re.compile(r"\d+(\.\d+)?")
@@ -66,7 +68,7 @@ class EventLog:
         """The newest infos and warnings, oldest first; at most `KEPT`."""
         self.events: deque[Event] = deque(maxlen=KEPT)
         """The newest events, faults included."""
-        self.listeners: list[Callable[[Event], None]] = []
+        self.listeners: Observers[Event] = Observers()
         self._limit = OncePerSecond()
 
     def info(self, text: str) -> None:
@@ -91,8 +93,7 @@ class EventLog:
 
     def _publish(self, event: Event) -> None:
         self.events.append(event)
-        for listener in self.listeners:
-            listener(event)
+        self.listeners.notify(event)
 
 
 def _now_s() -> float:

@@ -14,6 +14,7 @@ from slipguard.daemon.loop.async_tools import Backoff
 from slipguard.daemon.loop.capture import SensorCapture, StreamRestarts
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, failure_reason
+from slipguard.daemon.loop.observers import Observers
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import FrameTorn, SlipguardError
 from slipguard.perception.contact.patch import Patch
@@ -123,7 +124,7 @@ class Finger:
         """Set while there is a `newest`."""
         self.captured_at_s: float | None = None
         """Capture time of the newest processed frame."""
-        self.observers: list[Callable[[ProcessedFrame], None]] = []
+        self.observers: Observers[ProcessedFrame] = Observers()
         self._worker = worker
         self._make_pipeline = make_pipeline
         self._pipeline_serial: str | None = None
@@ -216,7 +217,7 @@ class Finger:
                 raise_if_cancelled()
                 reason = failure_reason(pipeline, error, self.health)
                 capture.refuse_frame(reason, torn=isinstance(error, FrameTorn))
-                self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=reason))
+                self.observers.notify(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, refused=reason))
                 if not isinstance(error, SlipguardError):
                     self._drop_estimate()
                     if failed:  # the first in a row costs one frame; a pause would be longer than `frames_timeout_s`
@@ -226,7 +227,9 @@ class Finger:
             failed = False
             backoff.reset()
             patch = pipeline.last_patch if self.observers else None
-            self._observe(ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch))
+            self.observers.notify(
+                ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch)
+            )
             if not capture.streaming:
                 continue
             self.captured_at_s = frame.captured_at_s
@@ -247,7 +250,3 @@ class Finger:
             return None
         pipeline.keep_estimate(frame.captured_at_s)
         return repeat_estimate(own, frame.captured_at_s, frame.sequence)
-
-    def _observe(self, processed: ProcessedFrame) -> None:
-        for observer in self.observers:
-            observer(processed)

@@ -80,5 +80,6 @@ class LoopMetrics:
             "hold": self._hold.as_dict(),
             "faults": dict(self._faults),
             "devices_answered": {"gripper": self._service.gripper.polled, "arm": self._service.arm.polled},
+            "observer_errors": self._service.observer_errors,
             "log_lines_lost": lost_lines(),
         }

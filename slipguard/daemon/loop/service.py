@@ -43,6 +43,7 @@ from slipguard.daemon.loop.decision import Decision, LatencyStats
 from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
 from slipguard.daemon.loop.event_log import EventLog
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate, Worker
+from slipguard.daemon.loop.observers import Observers
 from slipguard.daemon.loop.request_queue import RequestQueue
 from slipguard.daemon.store.background_images import BackgroundStore
 from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
@@ -85,10 +86,11 @@ class Service:
         """Why the configuration file is not in use; until it is, nothing new is gripped or lifted."""
         self.store = store
         self.latency_stats = LatencyStats(FINGERS)
-        self.observers: list[Callable[[Decision], None]] = [self.latency_stats.add_decision]
-        self.hold_observers: list[Callable[[float], None]] = [self.latency_stats.add_hold]
-        """Called when a force command is sent to the gripper, with the seconds since its frame was received."""
         self.event_log = EventLog()
+        warning = self.event_log.warning
+        self.observers: Observers[Decision] = Observers(self.latency_stats.add_decision, report=warning)
+        self.hold_observers: Observers[float] = Observers(self.latency_stats.add_hold, report=warning)
+        """Called when a force command is sent to the gripper, with the seconds since its frame was received."""
         self.deadlines_missed = 0
         self._late: deque[tuple[float, float]] = deque()
         """Loop time of each late cycle of the last `BUSY_WINDOW_S`, and by how much it was late."""
@@ -106,16 +108,16 @@ class Service:
             name: Finger(name, sensors[name], self._workers[name], make_pipeline[name], retry_s, restarts, wake)
             for name in FINGERS
         }
+        for finger in self.fingers.values():
+            finger.observers.report = warning
         if config.perception.skip_second_finger:
             left, right = (self.fingers[name] for name in FINGERS)
             left.skip_frames_after(right, config.perception.refresh_s)
             right.skip_frames_after(left, config.perception.refresh_s)
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, self._wake.set, self.event_log.warning, GripperState
+            "gripper", gripper, poll_s, retry_s, wake, warning, GripperState
         )
-        self.arm: Actuator[ArmState] = Actuator(
-            "arm", arm, poll_s, retry_s, self._wake.set, self.event_log.warning, ArmState
-        )
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, wake, warning, ArmState)
         self._requests = RequestQueue()
         self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
@@ -151,6 +153,12 @@ class Service:
     def waiting_for(self) -> list[str]:
         """One line per device that is not ready."""
         return [one.health.message for one in self.devices.values() if not one.health.ready]
+
+    @property
+    def observer_errors(self) -> int:
+        """Exceptions of all observers since the start."""
+        errors = self.observers.errors + self.hold_observers.errors + self.event_log.listeners.errors
+        return errors + sum(finger.observers.errors for finger in self.fingers.values())
 
     def apply_config(self, config: Config) -> None:
         """Use another configuration from the next cycle on (see `slipguard.daemon.reload`)."""
@@ -276,8 +284,7 @@ class Service:
         gripper, arm = self._gripper_device, self._arm_device
 
         async def hold(force_n: float) -> None:
-            for observer in self.hold_observers:
-                observer(asyncio.get_running_loop().time() - received_at_s)
+            self.hold_observers.notify(asyncio.get_running_loop().time() - received_at_s)
             await gripper.hold(force_n)
 
         match output.gripper:
@@ -331,5 +338,4 @@ class Service:
             {name: one.estimate for name, one in new.items()},
             latencies_s if output.hold_force_n is None else (),
         )
-        for observer in self.observers:
-            observer(decision)
+        self.observers.notify(decision)
