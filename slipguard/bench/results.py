@@ -123,6 +123,43 @@ class ThinningResult:
 
 
 @dataclass(frozen=True, slots=True)
+class BaselineResult:
+    """Errors of a baseline, degrees."""
+
+    mean_deg: float | None
+    worst_deg: float | None
+    declined_share: float
+
+
+@dataclass(frozen=True, slots=True)
+class EffectResult:
+    """Figures of one effect.
+
+    Attributes:
+        n: Frames that are compared with the truth. Shares below refer to those with an estimate.
+        error_over_sigma_p99: 99th percentile.
+        zero: Always answers 0.
+        paper_axis: The paper's axis (thinning, line), on slipguard's own masks.
+        shift_wrong_share: Share of reported shifts that are off by more than half of the finest pitch, 0.4 mm.
+    """
+
+    effect: str
+    n: int
+    grasps: int
+    mean_deg: float | None
+    worst_deg: float | None
+    declined_share: float
+    within_1_sigma: float | None
+    within_2_sigma: float | None
+    beyond_3_sigma: float | None
+    beyond_4_sigma: float | None
+    error_over_sigma_p99: float | None
+    shift_wrong_share: float | None
+    zero: BaselineResult
+    paper_axis: BaselineResult
+
+
+@dataclass(frozen=True, slots=True)
 class BenchReport:
     """The result of `slipguard bench`."""
 
@@ -133,6 +170,7 @@ class BenchReport:
     thinning: tuple[ThinningResult, ...] = ()
     skips: tuple[SkipResult, ...] = ()
     notes: tuple[str, ...] = ()
+    effects: tuple[EffectResult, ...] = ()
 
     def reference(self, resolution: str) -> BenchRow | None:
         """Return the row of the paper's pipeline that times are compared with; None without a row of this size.
@@ -160,6 +198,7 @@ class BenchReport:
             "skips": [_plain(asdict(one)) for one in self.skips],
             "published": PUBLISHED,
             "notes": list(self.notes),
+            "effects": [_plain(asdict(one)) for one in self.effects],
         }
 
 

@@ -24,7 +24,7 @@ SIZES = ("240×320", "120×160")
 
 
 def bench_tables(found: BenchReport) -> list[Table]:
-    """Return the tables of pipelines, thinning and skips; they fit into 80 columns."""
+    """Return the tables of pipelines, effects, thinning and skips; they fit into 80 columns."""
     shown = _table(SHOWN, "pipeline")
     shown.title = f"{found.machine['processor']}, one core unless stated; times in ms, errors in degrees"
     for row in (*found.pipelines, *found.peers):
@@ -55,7 +55,26 @@ def bench_tables(found: BenchReport) -> list[Table]:
             skip.name, "yes" if skip.kept else "no", _text(skip.saved_ms), _text(skip.saved_ms_per_frame_grasp),
             _text(skip.error_added_deg, "{:+.3f}"), _text(skip.frames_later, "{:+d}"),
         )  # fmt: skip
-    return [shown, thinned, skips]
+    return [shown, _effect_table(found), thinned, skips]
+
+
+def _effect_table(found: BenchReport) -> Table:
+    """Return the errors of the default pipeline by effect, and those of two baselines."""
+    shown = _table(
+        ("effect", "n", "error\n°", "worst\n°", "decl.\n%", "within %\n1, 2 σ", "beyond %\n3, 4 σ", "p99\nσ",
+         "zero\n°", "axis\n°"), "effect",
+    )  # fmt: skip
+    for one in found.effects:
+        within, beyond = (one.within_1_sigma, one.within_2_sigma), (one.beyond_3_sigma, one.beyond_4_sigma)
+        shown.add_row(
+            one.effect, str(one.n), _text(one.mean_deg), _text(one.worst_deg, "{:.1f}"),
+            f"{100.0 * one.declined_share:.0f}",
+            ", ".join(_text(None if share is None else 100.0 * share, "{:.0f}") for share in within),
+            ", ".join(_text(None if share is None else 100.0 * share, "{:.1f}") for share in beyond),
+            _text(one.error_over_sigma_p99, "{:.1f}"), _text(one.zero.mean_deg, "{:.1f}"),
+            _text(one.paper_axis.mean_deg, "{:.1f}"),
+        )  # fmt: skip
+    return shown
 
 
 def _table(columns: Iterable[str], text_column: str) -> Table:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def bench(
-    quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: under a minute.")] = True,
+    quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: about a minute.")] = True,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for bench.json and bench.png; with --grip for grip.json and grip.png.")

@@ -52,6 +52,7 @@ class GraspFrame:
         rotation_deg: since the object was held still.
         compared: whether it counts for the rotation error (after the reference, in contact).
         mask: (320, 240) uint8, the contact label; None if not requested.
+        shift_mm: shift of the object since then, right and up; None where it is not compared.
     """
 
     frame: Frame
@@ -59,6 +60,7 @@ class GraspFrame:
     rotation_deg: float
     compared: bool
     mask: NDArray[np.uint8] | None
+    shift_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,11 +31,11 @@ class GelEffects:
         pitch_deg: tilt that brings the object's +u side closer to the gel. The object rolls without sliding: on a
             curved side the contact moves along it. The force on the gel stays the same.
         roll_deg: the same for the +v side.
-        twist_deg: the sticking middle of the contact lags behind the object's rotation by this angle; the lag fades
-            outwards. A soft gel twists 9-17 degrees before any slip (G 0.14 MPa, 20 N, friction 0.6: inferred from
-            torque = 16/3 G a^3 angle, Johnson, Contact Mechanics, 1985, section 3.9).
-        shear_mm: displacement of the sticking middle from the object, right and up. About 0.7 mm at a tangential
-            load of 5 N on a contact of radius 5 mm (Johnson 1985, section 7.2).
+        twist_deg: the middle of the contact, which sticks, rotates with the object; the gel around it lags behind by up
+            to this angle. A soft gel twists 9-17 degrees before any slip (G 0.14 MPa, 20 N, friction 0.6: inferred
+            from torque = 16/3 G a^3 angle, Johnson, Contact Mechanics, 1985, section 3.9).
+        shear_mm: the gel around the middle lags behind the object's shift by up to this, right and up. About 0.7 mm at
+            a tangential load of 5 N on a contact of radius 5 mm (Johnson 1985, section 7.2).
         stick_mm: radius of the sticking middle. Partial slip starts at the rim and moves inwards as the load grows:
             radius * (1 - load / (friction * force))^(1/3) (Cattaneo 1938, Mindlin 1949; Johnson 1985, section 7.2).
     """
@@ -73,10 +73,10 @@ class GelEffects:
         # Displacement of an elastic half-space outside a rigid circular stamp: twisted (Reissner and Sagoci 1944),
         # and pushed sideways (the part without direction; Johnson 1985, section 3.7). 1 on the stamp.
         sine = np.arcsin(inner)
-        sheared = f32((2.0 / math.pi) * sine)
-        twisted = f32((2.0 / math.pi) * (sine - inner * np.sqrt(1.0 - inner * inner)))
-        right = right_mm - np.float32(self.shear_mm[0]) * sheared
-        up = up_mm - np.float32(self.shear_mm[1]) * sheared
+        sheared = f32(1.0 - (2.0 / math.pi) * sine)
+        twisted = f32(1.0 - (2.0 / math.pi) * (sine - inner * np.sqrt(1.0 - inner * inner)))
+        right = right_mm + np.float32(self.shear_mm[0]) * sheared
+        up = up_mm + np.float32(self.shear_mm[1]) * sheared
         lag = f32(math.radians(self.twist_deg) * twisted)
         c, s = np.cos(lag), np.sin(lag)
         return f32(c * right - s * up), f32(s * right + c * up)

@@ -23,6 +23,7 @@ from slipguard.bench.comparison_pipelines import (
     PaperPipeline,
     axis_of_points,
 )
+from slipguard.bench.effects import EffectErrors, effect_result
 from slipguard.bench.holding import HoldingScene
 from slipguard.bench.pipeline_results import GraspErrors, PipelineResults, errors_by_quarter, within_sigma_se
 from slipguard.bench.pipelines import PEER_MODEL, BenchPipeline, network_files, with_small_network
@@ -62,9 +63,10 @@ def found() -> BenchReport:
     thin = [
         ThinningResult(size, 9, 1.0, ratios, {**ratios, "cv2": ratio}, 0) for size, ratio in (("a", 18.0), ("b", 5.0))
     ]
+    slip = effect_result("partial slip", EffectErrors(5, [(0.5, 1.0), (9.0, 2.0)], [3.0] * 5, [7.0], [0.1, 0.5]), 1)
     skip = SkipResult("unchanged", True, 2.0, 1.4, 0.001, 0, "of 3600 frames")
     return BenchReport({"processor": "test", "onnxruntime": "1", "opencv": "4"}, (ours,), (peer, plain), "net + fused",
-                 tuple(thin), (skip,), ("a note",))  # fmt: skip
+                 tuple(thin), (skip,), ("a note",), (slip,))  # fmt: skip
 
 
 def test_the_json_has_the_public_keys_in_order_and_null_for_unknown_values() -> None:
@@ -76,6 +78,13 @@ def test_the_json_has_the_public_keys_in_order_and_null_for_unknown_values() -> 
     assert result["pipelines"][0]["iou"] is None
     assert result["default"] == result["pipelines"][0]["name"]
     assert result["thinning_vs_cv2"] == 5.0
+    [effect] = result["effects"]
+    assert (effect["effect"], effect["n"], effect["mean_deg"], effect["worst_deg"]) == ("partial slip", 5, 4.75, 9.0)
+    assert (effect["declined_share"], effect["within_1_sigma"], effect["within_2_sigma"]) == (0.6, 0.5, 0.5)
+    assert (effect["beyond_3_sigma"], effect["beyond_4_sigma"], effect["error_over_sigma_p99"]) == (0.5, 0.5, 4.46)
+    assert effect["shift_wrong_share"] == 0.5
+    assert effect["zero"] == {"mean_deg": 3.0, "worst_deg": 3.0, "declined_share": 0.0}
+    assert effect["paper_axis"] == {"mean_deg": 7.0, "worst_deg": 7.0, "declined_share": 0.8}
 
 
 def test_the_tables_show_the_ratio_to_the_paper_and_the_plot_is_drawn(tmp_path: Path) -> None:
@@ -87,7 +96,7 @@ def test_the_tables_show_the_ratio_to_the_paper_and_the_plot_is_drawn(tmp_path: 
     assert "50.0" in text
     assert "default" in text
     assert "…" not in text
-    for title in ("declined", "240×320", "skeletonize, ×", "ms per frame", "pixels unlike"):
+    for title in ("partial slip", "zero", "declined", "240×320", "skeletonize, ×", "ms per frame", "pixels unlike"):
         assert title in text
     assert "published, on a real cell" in " ".join(text.split())
     draw_bench(found(), tmp_path / "bench.png")

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from slipguard.bench import pipelines, skip_values
+from slipguard.bench import effects, pipelines, skip_values
 from slipguard.bench import run as bench
 from slipguard.bench.holding import HoldingScene
 from slipguard.cli.app import run
@@ -35,6 +35,10 @@ def _short_grasps_of_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bench, "EXTRA_PLAIN", ())
     monkeypatch.setattr(bench, "LARGE_FRAMES_QUICK", 2)
     monkeypatch.setattr(bench, "WARM_UP_FRAMES", 5)
+    monkeypatch.setattr(effects, "EFFECTS", ("rocking",))
+    monkeypatch.setattr(effects, "QUICK_CASES", 1)
+    monkeypatch.setattr(effects, "FULL_SEEDS", 1)
+    monkeypatch.setattr(effects, "effect_cases", lambda effect: ("bar",))
     monkeypatch.setattr(bench, "render_grasp", short_grasp)
     monkeypatch.setattr(skip_values, "render_grasp", short_grasp)
     monkeypatch.setattr(skip_values, "QUICK_ONSETS", skip_values.QUICK_ONSETS[:1])
