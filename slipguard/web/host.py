@@ -113,28 +113,34 @@ async def _run_web_process(daemon: DaemonApi, unix: UnixSocket, tcp: TcpListener
     try:
         await asyncio.shield(serving)
     finally:
-        writer.write(b"".join(encode_message({"stop": True})))  # responses in progress are still sent
-        await asyncio.wait((serving,), timeout=STOP_TIMEOUT_S)
-        serving.cancel()
-        await asyncio.gather(serving, return_exceptions=True)
-        writer.close()
-        status = await wait_or_kill(process, EXIT_TIMEOUT_S)
+        try:
+            writer.write(b"".join(encode_message({"stop": True})))  # responses in progress are still sent
+            await asyncio.wait((serving,), timeout=STOP_TIMEOUT_S)
+            serving.cancel()
+            await asyncio.gather(serving, return_exceptions=True)
+        finally:
+            writer.close()
+            status = await wait_or_kill(process, EXIT_TIMEOUT_S)
     return status
 
 
 async def wait_or_kill(process: asyncio.subprocess.Process, timeout_s: float) -> int:
-    """Wait for a process to exit, and kill it after `timeout_s`; return its exit status."""
+    """Wait for a process to exit, and kill it after `timeout_s` or if cancelled; return its exit status."""
     try:
         async with asyncio.timeout(timeout_s):
             return await process.wait()
-    except TimeoutError:
-        process.kill()  # not earlier: killing a process that has just exited loses its exit status
+    except (TimeoutError, asyncio.CancelledError) as reason:
+        with contextlib.suppress(ProcessLookupError):
+            process.kill()  # not earlier: killing a process that has just exited loses its exit status
         killed = asyncio.ensure_future(process.wait())
         try:
-            return await asyncio.shield(killed)
+            status = await asyncio.shield(killed)
         except asyncio.CancelledError:
             await killed  # returns at once; without it, the transport would stay open
             raise
+        if isinstance(reason, asyncio.CancelledError):
+            raise
+        return status
 
 
 def _first_message(unix: UnixSocket, tcp: TcpListener | None) -> dict[str, object]:

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import socket
+import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from slipguard.daemon.api.requests import CalibrateRequest, ClearRequest, GraspR
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused, DeviceTimeout, SlipguardError
 from slipguard.perception.contact.patch import ClippedSides
-from slipguard.web.host import run_api
+from slipguard.web.host import run_api, wait_or_kill
 from slipguard.web.protocol import (
     MESSAGE_MAX_BYTES,
     decode_finger_frame,
@@ -173,3 +174,13 @@ def test_a_frame_arrives_unchanged(axis_deg: float | None) -> None:
     assert (found.contact.clipped, found.contact.axis_deg) == (contact.clipped, axis_deg)
     received, pixels = encode_finger_frame(FingerFrame("D20001", view.frame))
     assert decode_finger_frame(received, b"".join(pixels)).contact is None
+
+
+async def test_a_cancelled_wait_leaves_no_process() -> None:
+    process = await asyncio.create_subprocess_exec(sys.executable, "-c", "import time; time.sleep(60)")
+    waiting = asyncio.create_task(wait_or_kill(process, 60.0))
+    await asyncio.sleep(0.05)
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    assert process.returncode == -signal.SIGKILL
