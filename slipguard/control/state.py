@@ -216,7 +216,8 @@ class Adoption:
         done: its first state has been used.
         found: an object was found in it; taking it over waits for a finger.
         remembered: the grip before the restart, until done.
-        outdated: a grip from before the restart is too old to be used, and the gripper was not active since.
+        outdated: a grip from before the restart cannot be used, because the file is too old or damaged, and the gripper
+            was not active since.
     """
 
     done: bool = False

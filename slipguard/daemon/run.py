@@ -115,7 +115,8 @@ def build_service(
 
         return make
 
-    return Service(
+    warnings: list[str] = []
+    service = Service(
         config,
         sensors={name: device(name) for name in FINGERS},
         gripper=device("gripper"),
@@ -124,8 +125,11 @@ def build_service(
         make_pipeline={name: pipeline_maker(name) for name in FINGERS},
         store=state_dir,
         controller=controller,
-        memory=restore_control_state(state_dir),
+        memory=restore_control_state(state_dir, warning=warnings.append),
     )
+    for line in warnings:
+        service.event_log.warning(line)
+    return service
 
 
 def _stored_background(store: StateDir, serial: str) -> BackgroundImage | None:

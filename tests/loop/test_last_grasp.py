@@ -8,21 +8,23 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
 import pytest
-import structlog
-from loop_cell import Cell, play
-from structlog.testing import capture_logs
+from loop_cell import Cell, play, running
 
+from slipguard.config import parse_config
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import Observation, StepOutput
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import Adoption, GraspState, HandsOff, PersonNear, Phase, RememberedGrip
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.run import build_service
 from slipguard.daemon.store import dated_file
 from slipguard.daemon.store.disk_writer import RETRY_S
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
+from slipguard.sim.world import World, WorldSettings
 
 MAY_HOLD = ControlState(GraspState(adoption=Adoption(outdated=True)))
 
@@ -243,9 +245,44 @@ def test_a_requested_release_is_stored_with_its_fault(tmp_path: Path) -> None:
         '{"format": 5, "saved_at": "2026-01-01T00:00:00Z", "fault": {"code": "x", "observed": "", "what_to_do": ""}}',
     ],
 )
-def test_a_damaged_note_counts_as_none(tmp_path: Path, content: str) -> None:
+def test_after_a_damaged_file_it_is_unknown_whether_something_is_held(tmp_path: Path, content: str) -> None:
     (tmp_path / "last_grasp.json").write_text(content)
-    assert restore_control_state(StateDir(tmp_path)) == ControlState()
+    lines: list[str] = []
+    assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD
+    (line,) = lines
+    assert line.startswith(f"it is unknown what was held before the restart: {tmp_path}/last_grasp.json: damaged: ")
+
+
+def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path) -> None:
+    shelf, before = StateDir(tmp_path), Cell("wrench", 1)
+
+    async def scene() -> None:
+        async with running(before):
+            await before.grasp()
+        (tmp_path / "last_grasp.json").write_bytes(b"\0" * 200)
+        force_n = before.truth.force_n
+        after = Cell("wrench", 1, world=before.world)
+        after.service._memory = restore_control_state(shelf)
+        after.service.observers.append(LastGraspSaver(shelf, after.says.append, after.says.append).add_decision)
+        async with running(after):
+            await after.until(after.steady)
+            assert after.truth.force_n >= force_n - 0.01
+            assert [what for _, what, _ in after.gripper.commands if what in ("release", "activate")] == []
+            await after.lift()
+            assert after.truth.dropped is None
+            assert (await noted(shelf)).force_n == after.service.state.grip.target_n
+
+    run_virtual(scene())
+
+
+def test_the_daemon_reports_a_damaged_file(tmp_path: Path) -> None:
+    (tmp_path / "last_grasp.json").write_text('{"format": 5, "force_')
+    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
+    config = parse_config(raw | {"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+    service = build_service(config, world=World(WorldSettings(), seed=0))
+    service.close()
+    assert service.event_log.lines[0].startswith("it is unknown what was held before the restart: ")
+    assert service.state == MAY_HOLD.grasp
 
 
 def test_an_old_note_only_says_that_something_may_be_held(tmp_path: Path) -> None:
@@ -283,10 +320,9 @@ def test_a_note_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: time
     """The clock of a computer with an empty battery, before and after it was set."""
     shelf, now = StateDir(tmp_path), datetime.now(UTC)
     shelf.save_last_grasp(LastGrasp(saved_at=now + ahead, force_n=90.0, width_mm=18.0))
-    structlog.reset_defaults()
-    with capture_logs() as entries:
-        assert restore_control_state(shelf, now) == MAY_HOLD
-    assert "in the future; check the computer's clock" in entries[-1]["reason"]
+    lines: list[str] = []
+    assert restore_control_state(shelf, now, lines.append) == MAY_HOLD
+    assert "in the future; check the computer's clock" in lines[0]
 
 
 @pytest.mark.parametrize("step", [timedelta(hours=-5), timedelta(minutes=-1), timedelta(hours=5)])

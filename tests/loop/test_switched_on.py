@@ -99,18 +99,23 @@ def test_the_first_activation_precedes_the_first_calibration() -> None:
     play(Cell(world=world, watched=False, calibrated=False), scene)
 
 
-def test_refused_after_a_start_with_an_old_grip_until_the_gripper_was_active(tmp_path: Path) -> None:
-    store = StateDir(tmp_path)
+@pytest.mark.parametrize("damaged", [False, True])
+def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripper_was_active(
+    tmp_path: Path, damaged: bool
+) -> None:
+    store, path = StateDir(tmp_path), tmp_path / "last_grasp.json"
     store.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC) - timedelta(days=1), force_n=90.0, width_mm=18.0))
+    if damaged:
+        path.write_text(path.read_text()[:60])
 
     async def scene(cell: Cell) -> None:
         cell.service._memory = restore_control_state(store)
         cell.service.observers.append(LastGraspSaver(store, cell.says.append, cell.says.append).add_decision)
         await cell.ready()
         await asyncio.sleep(0.2)
-        with pytest.raises(CommandRefused, match="a grip is stored from before the last start"):
+        with pytest.raises(CommandRefused, match="something was held before the last start, or may have been"):
             await cell.submit(CONFIRMED)
-        assert store.load_last_grasp() is not None
+        assert path.exists()
         await cell.submit(ActivateRequest(confirm=True, force=True))
         await asyncio.sleep(0.2)
         assert not cell.service.state.adoption.outdated

@@ -69,7 +69,7 @@ class BackgroundCapture:
         """
         adoption = self._service.state.adoption
         if adoption.outdated or adoption.remembered is not None:
-            return "a grip is stored from before the last start, and it is unknown whether it still is there"
+            return "something was held before the last start, or may have been, and it is unknown whether it still is"
         for name, finger in self._service.fingers.items():
             if finger.serial is None:
                 return f"no sensor was found yet for the {name} finger ({finger.health.reason})"

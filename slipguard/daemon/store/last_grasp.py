@@ -49,22 +49,32 @@ class LastGraspStore(Protocol):
     def delete_last_grasp(self) -> None: ...
 
 
-def restore_control_state(store: LastGraspStore, now: datetime | None = None) -> ControlState:
-    """Return the controller's state for a start: the default if the file is missing, old or damaged (then logged).
+def restore_control_state(
+    store: LastGraspStore, now: datetime | None = None, warning: Callable[[str], object] = log.warning
+) -> ControlState:
+    """Return the controller's state for a start: the default if nothing was stored.
 
-    A fault stays latched until it is cleared, at any age. now: see `DatedFile.outdated`.
+    A fault stays latched until it is cleared, at any age. If the file is old or damaged, something may still be held.
+
+    Args:
+        store: Where the grasp is stored.
+        now: See `DatedFile.outdated`.
+        warning: Receives one line if the file is old or damaged.
     """
     try:
         last = store.load_last_grasp()
     except SlipguardError as error:
-        log.error("last grasp not used", reason=str(error))
-        return ControlState()
+        warning(
+            f"it is unknown what was held before the restart: {error}. What the gripper holds is kept; if it reports "
+            "nothing, check the jaws"
+        )
+        return ControlState(GraspState(adoption=Adoption(outdated=True)))
     if last is None:
         return ControlState()
     grasp = GraspState()
     outdated = last.outdated(now)
     if outdated is not None:
-        log.warning("the grip from before the restart is not used", reason=outdated)
+        warning(f"the grip from before the restart is not used: {outdated}")
         grasp = replace(grasp, adoption=Adoption(outdated=last.force_n > 0.0))
     else:
         known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm)
