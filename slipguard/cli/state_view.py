@@ -92,6 +92,8 @@ def _grip_text(state: Mapping[str, Any]) -> str:
         return "not connected"
     if gripper.get("fault"):
         return f"gripper fault: {gripper['fault']}"
+    if not gripper["active"] and gripper["moving"]:
+        return "gripper being activated: the jaws open and close fully"
     if not gripper["active"]:
         return "gripper not activated: see `slipguard ctl activate --help`"
     width = f"jaws {gripper['width_mm']:.0f} mm apart"

@@ -77,9 +77,12 @@ def _closing(state: GraspState, observation: Observation, params: GuardParams) -
             return state, StepOutput()
     timeout_s = params.tuning.closing_timeout_s
     if now_s - state.since_s > timeout_s:
+        where = ""
+        if gripper is not None and not (gripper.moving or gripper.holding):
+            where = f": the jaws stand {gripper.width_mm:.0f} mm apart without one"
         fault = Fault(
             FaultCode.GRIPPER_STUCK,
-            f"not closed on an object within {timeout_s:g} s",
+            f"not closed on an object within {timeout_s:g} s{where}",
             "check the jaws and the gripper's cable, then clear",
         )
         return latch(state, observation, fault, StepOutput())

@@ -136,12 +136,23 @@ def test_a_failed_activation_is_reported(monkeypatch: pytest.MonkeyPatch) -> Non
         with pytest.raises(CommandRefused, match="the activation failed: gripper: not activated after 10 s"):
             await cell.submit(CONFIRMED)
 
+        async def succeeds() -> None:
+            await asyncio.sleep(3.0)
+            assert cell.world is not None
+            cell.world.gripper_activated = True
+
+        assert not cell.service.gripper.health.ready, "of the command before"
+        monkeypatch.setattr(cell.gripper, "activate", succeeds)
+        assert "is activated" in str(await cell.submit(CONFIRMED)), "it is reported as failed only when it has failed"
+        assert cell.world is not None
+        cell.world.gripper_activated = False
+
         async def nothing() -> None:
             await asyncio.sleep(0)
 
-        await cell.ready()
+        await asyncio.sleep(0.5)
         monkeypatch.setattr(cell.gripper, "activate", nothing)
-        with pytest.raises(CommandRefused, match=f"not activated within {handlers.ACTIVATED_WITHIN_S:g} s"):
+        with pytest.raises(CommandRefused, match=f"within {handlers.ACTIVATED_WITHIN_S:g} s; the jaws may still move"):
             await cell.submit(CONFIRMED)
 
     play(switched_on(), scene)

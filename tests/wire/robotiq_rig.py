@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,15 @@ def soon_s() -> float:
 
 def words_written(emulator: RobotiqEmulator) -> list[str]:
     return [" ".join(event["registers"]) for event in emulator.events("write")]  # type: ignore[arg-type]
+
+
+async def until(question: Callable[[], object]) -> None:
+    """Wait until it becomes true."""
+    for _ in range(2000):
+        if question():
+            return
+        await asyncio.sleep(0.002)
+    pytest.fail("it does not become true")
 
 
 async def until_it_rests(gripper: RobotiqGripper) -> None:

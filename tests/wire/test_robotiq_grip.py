@@ -6,10 +6,11 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from robotiq_rig import put, quick, settings, soon_s, until_it_rests, words_written
+from robotiq_rig import put, quick, settings, soon_s, until, until_it_rests, words_written
 
 from slipguard.devices import DriverContext
-from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
+from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
+from slipguard_drivers.robotiq import gripper as driver
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
@@ -85,6 +86,82 @@ async def test_closing_the_connection_does_not_wait_for_an_activation(tmp_path: 
     with pytest.raises(DeviceLost, match="repeat the command"):
         await release
     await emulator.stop()
+
+
+@pytest.mark.parametrize("fault", ["unplug", "silence"])
+async def test_an_activation_that_fails_late_may_still_move_the_jaws_and_says_so(
+    tmp_path: Path, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver, "ACTIVATION_TIMEOUT_S", 0.5)
+    emulator = quick(tmp_path, quick=1.0)
+    await emulator.start()
+    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
+    await gripper.open()
+    activation = asyncio.ensure_future(gripper.activate())
+    await until(lambda: emulator.events("activating"))
+    emulator.control(f"fault {fault}")
+    for command in (activation, gripper.state(), gripper.open()):
+        with pytest.raises(DeviceError, match="may still move the jaws fully, until it responds again") as caught:
+            await asyncio.wait_for(command, 15.0)
+        assert str(caught.value).count("may still move") == 1
+    assert emulator.state()["stage"] != "off", "it goes on alone"
+    emulator.control(f"clear {fault}")
+    await gripper.open()
+    while not (state := await gripper.state()).active:
+        assert state.moving, "what moves is reported as moving"
+        await asyncio.sleep(0.05)
+    assert not (await gripper.state()).moving
+    await gripper.close()
+    await emulator.stop()
+
+
+async def test_a_write_without_a_response_may_have_moved_the_jaws_and_says_so(
+    emulator: RobotiqEmulator, gripper: RobotiqGripper
+) -> None:
+    await gripper.state()
+    hold = asyncio.ensure_future(gripper.hold(40.0))
+    await until(lambda: emulator.events("write"))
+    emulator.control("fault unplug")
+    with pytest.raises(DeviceLost):
+        await hold
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
+    emulator.control("clear unplug")
+    await line.connect()
+    await line.read(0x07D0, 3, soon_s())
+    emulator.control("fault silence 1")
+    with pytest.raises(DeviceTimeout, match=r"no response within .*; the gripper may have executed the command"):
+        await line.write(0x03E8, [0x0900, 255, 0xFFFF], soon_s())
+    line.close()
+
+
+async def test_a_gripper_that_only_times_out_is_lost(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+    emulator.control("fault silence")
+    began_s, errors = asyncio.get_running_loop().time(), []
+    while not errors or isinstance(errors[-1], DeviceTimeout):
+        with pytest.raises(DeviceError) as caught:
+            await gripper.state()
+        errors.append(caught.value)
+    assert asyncio.get_running_loop().time() - began_s > 0.9
+    assert isinstance(errors[-1], DeviceLost)
+    assert "no response within" in str(errors[-1])
+    with pytest.raises(DeviceTimeout):
+        await gripper.open()
+    emulator.control("clear silence")
+    await gripper.open()
+    assert (await gripper.state()).active
+
+
+async def test_jaws_that_stand_apart_without_an_object_are_at_rest(
+    emulator: RobotiqEmulator, gripper: RobotiqGripper, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """gOBJ 3: at the requested position, or the object was lost. The fingers are blocked on the way."""
+    monkeypatch.setattr(emulator.jaws, "drive", lambda *arguments: None)
+    monkeypatch.setattr(emulator.registers, "_object", lambda now_s, view: 3)
+    await gripper.hold(40.0)
+    await until_it_rests(gripper)
+    state = await gripper.state()
+    assert (state.moving, state.holding, state.closed_on_nothing) == (False, False, False)
+    assert state.width_mm > 80.0
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.1, 0.2])

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 from collections.abc import AsyncIterator, Coroutine
 from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeVar
@@ -40,6 +41,11 @@ RELEASE_COUNTS_MIN = 15
 ACTIVATION_TIMEOUT_S = 10.0
 """A 2F-85 takes about 3 s to open and close fully."""
 ACTIVATION_POLL_S = 0.05
+ACTIVATION_ECHO_S = 0.1
+"""A commanded activation must be visible in the status after this time; the gripper's cycle is 5 ms."""
+MAY_STILL_MOVE = "its activation was commanded and may still move the jaws fully, until it responds again"
+SILENT_S = 1.0
+"""A gripper that answers nothing for this time is lost. Robotiq's own limit for a lost master is the same."""
 
 
 class RobotiqSettings(BaseModel):
@@ -86,6 +92,10 @@ class RobotiqGripper(Gripper):
         self._applied: int | None = None
         """Force count of the grip; None if the fingers are open, or if another program closed them."""
         self._jaws = ObjectDetection(self._model)
+        self._activating = False
+        """Whether an activation moves the fingers, or may do so unseen."""
+        self._activation_sent_s = -math.inf
+        self._answered_at_s = -math.inf
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
@@ -97,7 +107,10 @@ class RobotiqGripper(Gripper):
         self._closing_down = False
         if not self._modbus.connected:
             self._forget_grip()  # another program may have changed it meanwhile
-            await self._modbus.connect()
+            try:
+                await self._modbus.connect()
+            except DeviceError as error:
+                raise self._with_activation(error) from None
             if slow := serial_port.slow_adapter(self._port):
                 log.warning(f"{self._name}: {slow}")
         try:
@@ -107,11 +120,17 @@ class RobotiqGripper(Gripper):
             raise
 
     async def state(self) -> GripperState:
-        """Read the status now."""
-        status = await self._complete(self._status(self._deadline_s()))
+        """Read the status now. Raises DeviceLost if the gripper has not answered for `SILENT_S`."""
+        try:
+            status = await self._complete(self._status(self._deadline_s()))
+        except DeviceTimeout as error:
+            if asyncio.get_running_loop().time() - self._answered_at_s < SILENT_S:
+                raise
+            self._modbus.close()
+            raise DeviceLost(str(error)) from None
         return GripperState(
             active=status.ready,
-            moving=self._jaws.moving,
+            moving=self._jaws.moving or self._activating,
             holding=self._jaws.holding,
             closed_on_nothing=self._jaws.closed_on_nothing,
             width_mm=registers.count_to_width(status.position, self._model),
@@ -183,7 +202,14 @@ class RobotiqGripper(Gripper):
         task = asyncio.create_task(command, name=f"{self._name}: command")
         self._running.add(task)
         task.add_done_callback(self._on_complete)
-        return await asyncio.shield(task)
+        try:
+            return await asyncio.shield(task)
+        except DeviceError as error:
+            raise self._with_activation(error) from None
+
+    def _with_activation(self, error: DeviceError) -> DeviceError:
+        """Return the error, which says so if the fingers may move although the command has failed."""
+        return type(error)(f"{error}; {MAY_STILL_MOVE}") if self._activating else error
 
     def _on_complete(self, task: asyncio.Task[Any]) -> None:
         self._running.discard(task)
@@ -262,6 +288,7 @@ class RobotiqGripper(Gripper):
         """Reset and activate: the fingers open and close fully. Only `activate` and `release` may do that."""
         await self._modbus.write(registers.OUTPUT_ADDRESS, [0, 0, 0], deadline_s)
         await self._expect(deadline_s, 0, going=False, activated=False)
+        self._activating, self._activation_sent_s = True, asyncio.get_running_loop().time()
         await self._write(deadline_s, go=False, position=0, speed=0, force=0)
         status = await self._expect(deadline_s, 0, going=False)
         loop = asyncio.get_running_loop()
@@ -286,7 +313,10 @@ class RobotiqGripper(Gripper):
         status = registers.decode(words)
         if not status.ready:
             self._forget_grip()  # it lost power, or another program has reset it
-        self._jaws.update(status, asyncio.get_running_loop().time())
+        now_s = self._answered_at_s = asyncio.get_running_loop().time()
+        if status.activated or now_s > self._activation_sent_s + ACTIVATION_ECHO_S:
+            self._activating = status.activated and not status.ready
+        self._jaws.update(status, now_s)
         return status
 
     def _forget_grip(self) -> None:

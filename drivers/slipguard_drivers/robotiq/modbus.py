@@ -18,7 +18,7 @@ import struct
 from dataclasses import dataclass
 from itertools import cycle
 
-from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import serial_port
 from slipguard_drivers.robotiq.serial_line import BLOCKED_S, PortBlockedError, SerialLine
 
@@ -76,7 +76,7 @@ class ModbusConnection:
 
     @property
     def connected(self) -> bool:
-        """Whether the port is open; the gripper may still be silent."""
+        """Whether the port is open for this program alone; see `RobotiqGripper.state` for a gripper that is silent."""
         return self._exclusive and self._line.is_open
 
     async def connect(self) -> None:
@@ -133,7 +133,10 @@ class ModbusConnection:
             await self._prepare_request(deadline_s)
             head = struct.pack(">BBHH", self._slave_id, WRITE, address, len(values))
             content = struct.pack(f">B{len(values)}H", 2 * len(values), *values)
-            await self._exchange(head + content, head, len(head) + CRC_BYTES)
+            try:
+                await self._exchange(head + content, head, len(head) + CRC_BYTES)
+            except DeviceError as error:
+                raise type(error)(f"{error}; the gripper may have executed the command") from None
 
     async def _why_not_opened(self) -> str:
         if fault := serial_port.device_fault(self._port):

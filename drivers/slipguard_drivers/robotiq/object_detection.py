@@ -3,7 +3,10 @@
 gOBJ alone does not say it. After a command it may keep its former value for up to 200 ms, although the gripper has
 accepted the command already (it echoes the position), and it means nothing while gGTO is 0. So gOBJ counts only after
 it has shown motion since the command, or after these 200 ms. Until then the fingers count as moving, and what was held
-before counts as held. Source: Robotiq 2F-85/2F-140 instruction manual (gOBJ, gGTO) and Robotiq's C++ SDK (the lag).
+before counts as held. At gOBJ 3 ("at requested position, no object detected, or it was lost or dropped") the fingers
+may be apart although they were to close: they still close where an object was lost, or stand without having gripped
+one. Their position says which. Source: Robotiq 2F-85/2F-140 instruction manual (gOBJ, gGTO) and Robotiq's C++ SDK (the
+lag).
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from slipguard_drivers.robotiq.registers import (
 
 OBJECT_LAG_S = 0.2
 """Longest time from an accepted command to the gOBJ that belongs to it."""
+STANDS_S = 0.5
+"""Fingers whose position stays the same for this time stand; at the lowest speed a count takes 20 ms."""
 YIELD_COUNTS = 3
 """Fingers that press an object move by at most this much while the force rises (1.1 mm on a 2F-85)."""
 
@@ -46,15 +51,20 @@ class ObjectDetection:
         self._decided = False
         self._decided_at_s = 0.0
         """When gOBJ certainly belongs to the present command."""
+        self._same_since_s = 0.0
+        """Since when the fingers have had the same position and the same command."""
 
     def update(self, status: RobotiqStatus, now_s: float) -> None:
         """Use one more status."""
         if not status.ready:
             self.forget()
             return
+        newest = self._newest
+        if newest is None or (newest.going, newest.position) != (status.going, status.position):
+            self._same_since_s = now_s
         if status.going:
             self._follow_command(status, now_s)
-        self.moving = status.going and self._may_move(status)
+        self.moving = status.going and self._may_move(status, now_s)
         self.holding = self._may_hold(status)
         # Gels that press on each other are nothing at once, while the force still rises.
         known = not self.moving or self._model.fingertip_mm > 0.0
@@ -69,17 +79,19 @@ class ObjectDetection:
         """Find out whether gOBJ belongs to the present command."""
         newest = self._newest
         if newest is None or not newest.going or newest.position_echo != status.position_echo:
-            self._decided, self._decided_at_s = False, now_s + OBJECT_LAG_S
+            self._decided, self._decided_at_s, self._same_since_s = False, now_s + OBJECT_LAG_S, now_s
             self._was_moving = self._motion is FingerMotion.MOVING
         seen = status.motion is FingerMotion.MOVING and not self._was_moving
         self._decided = self._decided or seen or now_s >= self._decided_at_s
         self._motion = status.motion
 
-    def _may_move(self, status: RobotiqStatus) -> bool:
+    def _may_move(self, status: RobotiqStatus, now_s: float) -> bool:
         if not self._decided or status.motion is FingerMotion.MOVING:
             return True
         arrived_early = status.motion is FingerMotion.AT_POSITION and status.position_echo >= self._model.goal_count
-        return arrived_early and not self._is_closed(status)  # they lost an object and go on closing
+        if not arrived_early or self._is_closed(status):
+            return False
+        return now_s - self._same_since_s < STANDS_S  # they may have lost an object and go on closing
 
     def _may_hold(self, status: RobotiqStatus) -> bool:
         inward = status.position_echo > status.position

@@ -167,9 +167,12 @@ class RequestHandlers(DaemonApi):
             newest = gripper.newest
             if newest is not None and newest.active and newest.measured_at_s > requested_s:
                 return f"the gripper is activated; the jaws are {newest.width_mm:.0f} mm apart"
-            if not gripper.health.ready:
+            if not gripper.health.ready and not gripper.commanding:
                 raise CommandRefused(f"the activation failed: {gripper.health.message}")
-        raise CommandRefused(f"not activated within {ACTIVATED_WITHIN_S:g} s; see `slipguard ctl state` and the log")
+        raise CommandRefused(
+            f"not activated within {ACTIVATED_WITHIN_S:g} s; the jaws may still move. See `slipguard ctl state` and "
+            "the log"
+        )
 
     async def calibrate(self, request: CalibrateRequest) -> dict[str, BackgroundImage]:
         """Take and store the background images of both fingers; return them by finger."""

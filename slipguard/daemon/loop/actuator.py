@@ -69,6 +69,7 @@ class Actuator(Generic[S]):
         self._commands: LatestValue[Action] = LatestValue()
         self._urgent = False
         """Only an urgent command may replace the waiting one."""
+        self._executing = False
         self._wake = asyncio.Event()
         self._reported: str | None = None
         self._on_change = on_change
@@ -82,6 +83,11 @@ class Actuator(Generic[S]):
         self._urgent = urgent
         self._commands.put(action)
         self._wake.set()
+
+    @property
+    def commanding(self) -> bool:
+        """Whether a command waits or is carried out."""
+        return self._executing or self._commands.waiting
 
     def _take_command(self) -> Action | None:
         self._urgent = False
@@ -151,6 +157,7 @@ class Actuator(Generic[S]):
         while True:
             self._wake.clear()
             action = self._take_command()
+            self._executing = action is not None
             try:
                 if action is not None:
                     await action()
@@ -172,6 +179,8 @@ class Actuator(Generic[S]):
                 self.health.set_error(str(error))
                 self._on_change()
                 next_poll_s = loop.time() + self._poll_s
+            finally:
+                self._executing = False
             raise_if_cancelled()
             timer = loop.call_at(next_poll_s, self._wake.set)
             try:

@@ -18,6 +18,11 @@ class LatestValue(Generic[T]):
         self.overwritten = 0
         """How many values were replaced before they were taken."""
 
+    @property
+    def waiting(self) -> bool:
+        """Whether a value was stored and not taken yet."""
+        return self._is_set.is_set()
+
     def put(self, value: T) -> None:
         """Store a value."""
         self.overwritten += self._is_set.is_set()

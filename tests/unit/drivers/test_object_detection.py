@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from slipguard_drivers.robotiq.object_detection import OBJECT_LAG_S, ObjectDetection
+from slipguard_drivers.robotiq.object_detection import OBJECT_LAG_S, STANDS_S, ObjectDetection
 from slipguard_drivers.robotiq.registers import MODEL_2F85, FingerMotion, RobotiqModel, RobotiqStatus
 
 MOVING, OPENED_ON, ON_OBJECT, ARRIVED = FingerMotion
@@ -140,6 +140,17 @@ def test_an_object_lost_while_it_is_tightened_is_not_held() -> None:
     assert jaws.see(MOVING, 255, OBJECT + 2) == TIGHTENING
     assert jaws.see(MOVING, 255, OBJECT + 9) == UNDECIDED
     assert jaws.see(ARRIVED, 255, CLOSED) == NOTHING
+
+
+def test_jaws_that_stand_apart_without_an_object_do_not_move_forever() -> None:
+    """gOBJ 3 with a goal of closing: either they still close where an object was lost, or they stand."""
+    jaws = Jaws().rested(ON_OBJECT, 255, OBJECT)
+    for position in range(OBJECT + 2, CLOSED - 9, 9):
+        assert jaws.see(ARRIVED, 255, position, after_s=STANDS_S - 0.01) == UNDECIDED
+    assert jaws.see(ARRIVED, 255, position, after_s=STANDS_S - 0.01) == UNDECIDED
+    assert jaws.see(ARRIVED, 255, position, after_s=0.02) == EMPTY
+    assert jaws.see(ARRIVED, 255, position, going=False) == HELD, "halted there: it may hold something"
+    assert jaws.see(ARRIVED, 255, position) == UNDECIDED, "a new command"
 
 
 def test_opening_against_an_object_holds_nothing() -> None:
