@@ -181,6 +181,18 @@ class Config(Section):
     recording: RecordingSection = RecordingSection()
     log: LogSection = LogSection()
 
+    @property
+    def warning(self) -> str | None:
+        """A valid setting that is probably forgotten: what it causes, and what to do. None if there is none."""
+        sensors = [name for name in ("left", "right") if getattr(self, name).driver == "digit"]
+        if not sensors or getattr(self.gripper.settings, "fingertip_mm", None) != 0.0:
+            return None
+        key, where = f"gripper.{self.gripper.driver}.fingertip_mm", ", ".join(sensors)
+        return (
+            f"{key} = 0 with a DIGIT on the jaws ({where}): gels that press on each other look like a held object. "
+            "Measure the value with `slipguard ctl fingertips`, and enter it"
+        )
+
     @model_validator(mode="after")
     def _timeouts_exceed_periods(self) -> Config:
         """Refuse a timeout that would report a fault although each period is kept."""

@@ -121,6 +121,8 @@ def check(
     _, gripper_max_n = _devices(settings)["gripper"].force_limits_n
     if gripper_max_n < guard.force_max_n:
         console.print(f"this gripper applies at most {gripper_max_n:g} N")
+    if settings.warning is not None:
+        console.print(f"warning: {settings.warning}", style="yellow")
     width, height = segmenter.input_size
     console.print(f"network {segmenter.path.name} at {width}×{height}, estimator {settings.perception.estimator!r}")
     console.print("the configuration is valid")

@@ -170,8 +170,8 @@ async def run(
     service = build(config, world=world)
     _add_savers(service, StateDir(config.state.directory), None if read_config is None else last_config_path())
     service.config_problem = config_problem
-    if config_problem is not None:
-        service.event_log.warning(config_problem)
+    for text in filter(None, (config_problem, config.warning)):
+        service.event_log.warning(text)
     gels = GelMonitor(service)
     handlers = RequestHandlers(service, gels)
     serve_api = bind_api(config)  # before any device is opened: a second daemon must not touch the first one's devices

@@ -116,7 +116,12 @@ def _touches(state: State) -> bool:
 def describe(touch_mm: float | None) -> str:
     """Return the result as text, with the lines for the configuration."""
     if touch_mm is None:
-        return "the gels do not touch: fingertip_mm is set as it should be, or larger"
+        return (
+            "the gels do not touch at the limit of closing: fingertip_mm is right, or too large by an unknown amount. "
+            "There the gap between the gels must be about 1 mm, such as the edge of a coin. If it is wider, set "
+            "fingertip_mm = 0, restart the daemon and measure again: the jaws then close further, as slowly, until the "
+            "gels touch"
+        )
     each_mm = touch_mm / 2.0
     return (
         f"the gels touch when the jaws are {touch_mm:.1f} mm apart: increase fingertip_mm by {each_mm:.1f}. "

@@ -40,3 +40,29 @@ def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
     asyncio.run(main())
     assert frozen[0] > 10_000
     assert gc.get_freeze_count() == 0
+
+
+def test_a_forgotten_fingertip_thickness_is_logged_once_at_the_start(tmp_path: Path) -> None:
+    texts: list[str] = []
+
+    async def extra_task_body(service: Any) -> None:
+        texts.extend(event.text for event in service.event_log.events)
+        os.kill(os.getpid(), signal.SIGTERM)
+        await asyncio.Event().wait()
+
+    config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+    left = config.left.model_copy(update={"driver": "digit"})
+    forgotten = config.model_copy(update={"left": left})
+
+    async def main() -> None:
+        def build(config: Any, world: World) -> Any:
+            return root.build_service(config.model_copy(update={"left": right}), world=world)
+
+        right = config.left
+        async with asyncio.timeout(30.0):
+            await root.run(
+                forgotten, bind_api, world=World(WorldSettings(), seed=0), extra_task=extra_task_body, build=build
+            )
+
+    asyncio.run(main())
+    assert len([text for text in texts if "fingertip_mm = 0 with a DIGIT on the jaws (left)" in text]) == 1

@@ -157,6 +157,7 @@ def test_the_measurement_confirms_a_right_setting_and_refuses_a_held_object() ->
         assert await measure(cell, []) is None
         assert not cell.truth.in_contact
         assert "do not touch" in describe(None)
+        assert "set fingertip_mm = 0, restart the daemon and measure again" in describe(None)
 
     play(Cell(fingertip_mm=TIP_MM, watched=False), scene)
 

@@ -363,3 +363,17 @@ def test_check_knows_the_grippers_limits_and_the_frames_of_a_replay(
     ran = slipguard(capfd, "check", "-c", path)
     assert ran.code == 2
     assert "has no .png files" in ran.err
+
+
+def test_a_fingertip_thickness_that_was_forgotten_is_reported(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path, text = tmp_path / "c.toml", SHIPPED.read_text()
+    assert text.count("fingertip_mm = 0 ") == 1
+    for content, warns in ((text, True), (text.replace("fingertip_mm = 0 ", "fingertip_mm = 18.5 "), False)):
+        path.write_text(content)
+        ran = slipguard(capfd, "check", "-c", path)
+        assert ran.code == 0, "a warning only"
+        assert ("fingertip_mm = 0 with a DIGIT on the jaws (left, right)" in " ".join(ran.out.split())) is warns
+        assert ("slipguard ctl fingertips" in ran.out) is warns
+    assert read_config(path, sim=True).warning is None

@@ -134,7 +134,10 @@ async def test_a_write_without_a_response_may_have_moved_the_jaws_and_says_so(
     line.close()
 
 
-async def test_a_gripper_that_only_times_out_is_lost(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
+async def test_a_gripper_that_only_times_out_is_lost(emulator: RobotiqEmulator) -> None:
+    options = settings(emulator).model_copy(update={"timeout_ms": 100.0})
+    gripper = RobotiqGripper(options, DriverContext("gripper"))
+    await gripper.open()
     emulator.control("fault silence")
     began_s, errors = asyncio.get_running_loop().time(), []
     while not errors or isinstance(errors[-1], DeviceTimeout):
@@ -149,6 +152,7 @@ async def test_a_gripper_that_only_times_out_is_lost(emulator: RobotiqEmulator, 
     emulator.control("clear silence")
     await gripper.open()
     assert (await gripper.state()).active
+    await gripper.close()
 
 
 async def test_jaws_that_stand_apart_without_an_object_are_at_rest(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 from pathlib import Path
 
@@ -150,7 +151,7 @@ async def test_no_response_crashes_the_driver(emulator: RobotiqEmulator, gripper
     for function in range(1, 256, 15):
         answer = bytes([9, function, 4, 0, 1, 2, 3])
         emulator._port.send = lambda data, plug, answer=answer: send(answer + crc16(answer), plug)  # type: ignore[method-assign]
-        gripper._modbus._out_of_sync = False
+        gripper._modbus._out_of_sync, gripper._silent_since_s = False, math.inf
         with pytest.raises(DeviceTimeout):
             await gripper.state()
     assert raised == []

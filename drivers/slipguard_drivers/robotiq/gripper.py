@@ -45,7 +45,7 @@ ACTIVATION_ECHO_S = 0.1
 """A commanded activation must be visible in the status after this time; the gripper's cycle is 5 ms."""
 MAY_STILL_MOVE = "its activation was commanded and may still move the jaws fully, until it responds again"
 SILENT_S = 1.0
-"""A gripper that answers nothing for this time is lost. Robotiq's own limit for a lost master is the same."""
+"""A gripper that answers nothing for this time, and for two calls, is lost; its own limit for its master is 1 s too."""
 
 
 class RobotiqSettings(BaseModel):
@@ -68,7 +68,8 @@ def check_fingertips(model: RobotiqModel) -> CheckResult:
     if model.fingertip_mm == 0.0:
         observed = "fingertip_mm = 0: with sensors on the fingers, gel on gel looks like a held object"
         return note("fingertips", observed, "measure it with `slipguard ctl fingertips`")
-    return ok("fingertips", f"{model.fingertip_mm:g} mm each; the gels open to {model.opening_mm:.0f} mm")
+    limit = "closed on nothing, they must be 1 mm apart"
+    return ok("fingertips", f"{model.fingertip_mm:g} mm each; the gels open to {model.opening_mm:.0f} mm; {limit}")
 
 
 class RobotiqGripper(Gripper):
@@ -95,7 +96,9 @@ class RobotiqGripper(Gripper):
         self._activating = False
         """Whether an activation moves the fingers, or may do so unseen."""
         self._activation_sent_s = -math.inf
-        self._answered_at_s = -math.inf
+        self._silent_since_s = math.inf
+        """Since when the gripper has answered no request for its status."""
+        self._silent_max_s = max(SILENT_S, 2.0 * self._call_max_s)
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
@@ -104,7 +107,7 @@ class RobotiqGripper(Gripper):
 
     async def open(self) -> None:
         """Connect and read the status. A gripper that is not activated stays so until `activate`."""
-        self._closing_down = False
+        self._closing_down, self._silent_since_s = False, math.inf
         if not self._modbus.connected:
             self._forget_grip()  # another program may have changed it meanwhile
             try:
@@ -120,11 +123,13 @@ class RobotiqGripper(Gripper):
             raise
 
     async def state(self) -> GripperState:
-        """Read the status now. Raises DeviceLost if the gripper has not answered for `SILENT_S`."""
+        """Read the status now. Raises DeviceLost if the gripper has answered nothing for `SILENT_S`."""
+        loop = asyncio.get_running_loop()
+        self._silent_since_s = min(self._silent_since_s, loop.time())
         try:
             status = await self._complete(self._status(self._deadline_s()))
         except DeviceTimeout as error:
-            if asyncio.get_running_loop().time() - self._answered_at_s < SILENT_S:
+            if loop.time() - self._silent_since_s < self._silent_max_s:
                 raise
             self._modbus.close()
             raise DeviceLost(str(error)) from None
@@ -313,7 +318,7 @@ class RobotiqGripper(Gripper):
         status = registers.decode(words)
         if not status.ready:
             self._forget_grip()  # it lost power, or another program has reset it
-        now_s = self._answered_at_s = asyncio.get_running_loop().time()
+        now_s, self._silent_since_s = asyncio.get_running_loop().time(), math.inf
         if status.activated or now_s > self._activation_sent_s + ACTIVATION_ECHO_S:
             self._activating = status.activated and not status.ready
         self._jaws.update(status, now_s)
