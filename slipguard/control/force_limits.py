@@ -32,9 +32,9 @@ class ForceRange:
             force_n = self.low_n + counts * self.step_n
         return max(min(max(force_n, self.low_n), self.high_n), present_n)
 
-    def raised(self, present_n: float, multiplier: float) -> float:
-        """Return the next force when tightening by `multiplier`: at least one step more, as far as the range goes."""
-        return self.allowed(max(present_n * multiplier, present_n + self.step_n), present_n)
+    def raised(self, present_n: float, force_n: float) -> float:
+        """Return the force to tighten to: at least one step more, as far as the range goes."""
+        return self.allowed(max(force_n, present_n + self.step_n), present_n)
 
 
 def force_range(force_max_n: float, gripper_limits_n: tuple[float, float]) -> ForceRange | None:
@@ -52,22 +52,6 @@ def force_range(force_max_n: float, gripper_limits_n: tuple[float, float]) -> Fo
     return ForceRange(low_n, low_n + counts * step_n, step_n)
 
 
-def firm_n(params: GuardParams, gripper_limits_n: tuple[float, float]) -> float:
-    """Return the force of the first tightening, at least: what friction and mass require if they are given, else a
-    fraction of the force limit; infinite if the gripper cannot stay within the limit.
-    """
-    within = force_range(params.force_max_n, gripper_limits_n)
-    if within is None:
-        return math.inf
-    modelled_n = params.modelled_n
-    return params.tuning.first_fraction * within.high_n if modelled_n is None else min(modelled_n, within.high_n)
-
-
 def first_n(params: GuardParams) -> float:
     """Return the first grip where the request names none: gentle, but no weaker than friction and mass require."""
     return max(params.first_force_n, params.modelled_n or 0.0)
-
-
-def multiplier(base: float, rate_deg_s: float, per_100_deg_s: float) -> float:
-    """Return by how much to tighten: the faster the object rotates, the more force it lacks."""
-    return base + per_100_deg_s * max(rate_deg_s, 0.0) / 100.0

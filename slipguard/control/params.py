@@ -32,6 +32,10 @@ class _Table(BaseModel):
 class GuardTuning(_Table):
     """`[guard.tuning]`: thresholds, speeds and timeouts. "Rotation" is the rotation since the last rest."""
 
+    tighten_at_rest_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.3
+    """While the arm stands, a larger rotation is slip; at least six times the noise learned at rest, 0.36 at first."""
+    tighten_at_lift_off_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.4
+    """The same while the object leaves the table; more once the gel is known to twist further without slip."""
     tighten_in_motion_deg: Annotated[float, Field(ge=0.5, le=10.0)] = 2.0
     """While the arm moves, a rotation below this is never slip, except in the first 80 mm of a lift."""
     threshold_sigmas: Annotated[float, Field(ge=1.0, le=10.0)] = 3.0
@@ -53,21 +57,10 @@ class GuardTuning(_Table):
     confirm_frames: Annotated[int, Field(ge=1, le=10)] = 2
     """This many measured frames in a row must show the slip."""
 
-    first_fraction: Annotated[float, Field(ge=0.1, le=1.0)] = 0.7
-    """The first tightening goes at least to this fraction of `force_max_n`, or to the force that `friction` and
-    `mass_kg` require."""
-    first_multiplier: Annotated[float, Field(ge=1.05, le=3.0)] = 1.3
-    """The first tightening multiplies the present force by at least this: one large step beats many small ones."""
-    next_multiplier: Annotated[float, Field(ge=1.02, le=3.0)] = 1.25
-    """Each further tightening of the same slip multiplies the force by this."""
-    multiplier_per_100_deg_s: Annotated[float, Field(ge=0.0, le=2.0)] = 0.25
-    """Added to both multipliers for each 100 deg/s of rotation."""
     tighten_delay_s: Annotated[float, Field(ge=0.02, le=1.0)] = 0.15
     """From a command to its effect, until measured while the jaws close: queue 32 ms, dead time 20-60 ms."""
     tighten_effect_timeout_s: Annotated[float, Field(ge=0.2, le=10.0)] = 1.5
     """Tightening must stop the rotation within this time; 20 N at 64 N/s and one loop delay take 0.5 s."""
-    torsion_after_tightening_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0
-    """After a tightening, the gel may twist elastically this far when it takes over the weight."""
     rotation_max_deg: Annotated[float, Field(ge=5.0, le=90.0)] = 45.0
     """Beyond this the object is not held: the controller applies the force limit, stops the arm and reports a fault."""
     settle_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
@@ -114,13 +107,6 @@ class GuardParams(_Table):
 
     mode: Literal["lift", "guard"] = "lift"
     """Who moves the arm: "lift" if slipguard does, "guard" if another program does and slipguard may only pause it."""
-
-    tighten_at_rest_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.3
-    """A larger rotation is slip while the arm stands; lower it to tighten earlier, raise it if it tightens for nothing.
-    The limit is never below six times the noise learned at rest, which is 0.36 degrees at first."""
-    tighten_at_lift_off_deg: Annotated[float, Field(ge=0.1, le=10.0)] = 0.4
-    """The same while the object leaves the table (2.5 times this once the force has reached `first_fraction` of the
-    force limit); on stiff pads choose 0.3 to 0.6."""
 
     first_force_n: Force = 40.0
     """First grip; lower it for fragile objects, raise it if every lift begins with a slip."""

@@ -4,8 +4,8 @@ A gel under load twists and shifts elastically, too, but it comes to rest: rate 
 it. How little counts as slip depends on the arm. An object at rest in the air rotates for one reason only, so a
 fraction of a degree is enough. While the arm moves, the gel twists with the load: by as much as it is twisted already,
 times the change of the load. While an object leaves the table, the gel is loaded for the first time, and no image
-distinguishes that from slip, for the far end still rests on the table. Raising the grip costs little then, so it is
-raised once; after that it is trusted for some degrees more.
+distinguishes that from slip, for the far end still rests on the table. So the grip is raised at each further degree,
+unless the gel is known to twist that far without slip (needed_force.py).
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from slipguard.control.slip_baselines import SETTLED_SHIFT_MM
 from slipguard.control.slip_memory import ArmCase, SlipMemory
 from slipguard.devices import ArmState
 
+TORSION_ON_TABLE_DEG = 6.0
+"""While the load still arrives, an object may come to rest this much further out without slip."""
 GROWTH_MAX = 4.0
 """However often the grip was tightened, no threshold grows beyond this multiple."""
 SWING_SHARE = 0.5
@@ -74,7 +76,8 @@ def assess_slip(
     params: GuardParams,
     *,
     arm: ArmState | None = None,
-    firm: bool = False,
+    borne_deg: float = 0.0,
+    again_deg: float = TORSION_ON_TABLE_DEG,
     only_outward: bool = False,
 ) -> SlipAssessment:
     """Return what the newest estimate shows, compared with the baselines.
@@ -84,7 +87,8 @@ def assess_slip(
         fused: the newest estimate; the same one may come several times.
         params: thresholds.
         arm: its newest state; without it every rotation is judged as in motion.
-        firm: the grip uses most of the force limit.
+        borne_deg: elastic torsion that the grip bears without slip. again_deg: further rotation that is slip in a
+            lift-off that has seen slip already.
         only_outward: a rotation back towards the reference is no slip, as when an object is put down.
     """
     is_new = fused.measured_at_s > memory.measured_s  # of both fingers: what one frame shows counts once
@@ -92,8 +96,8 @@ def assess_slip(
     rested_deg = memory.baselines.resting_deg  # before this frame
     memory, new_rest = _follow(memory, fused, arm, params, putting_down=only_outward)
     memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
-    rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, only_outward)
-    quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, firm, only_outward)
+    rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
+    quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, borne_deg, only_outward)
     slip_mm = (fused.shift_mm or 0.0) - (memory.baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
     rate_mm_s, tuning = memory.shift.rate_mm_s, params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
@@ -215,14 +219,14 @@ def _further_out_from(memory: SlipMemory, fused: FusedEstimate, params: GuardPar
         return None
     rotation_deg = fused.rotation_deg
     least_deg = threshold_deg(fused.sigma_deg, memory.rotations, params)
-    least_deg = least_deg if memory.arm.aloft else max(least_deg, params.tuning.torsion_after_tightening_deg)
+    least_deg = least_deg if memory.arm.aloft else max(least_deg, TORSION_ON_TABLE_DEG)
     if abs(rotation_deg - rested_deg) <= least_deg or abs(rotation_deg) <= abs(rested_deg):
         return None
     return max(rested_deg, episode_deg, key=lambda baseline_deg: abs(rotation_deg - baseline_deg))
 
 
 def _rotation(
-    memory: SlipMemory, fused: FusedEstimate, params: GuardParams, only_outward: bool
+    memory: SlipMemory, fused: FusedEstimate, params: GuardParams, again_deg: float, only_outward: bool
 ) -> tuple[float, float, bool]:
     """Return rotation from the episode baseline, rate away from it, and whether that is slip however the arm moves."""
     episode_deg, tuning = memory.baselines.episode_deg, params.tuning
@@ -239,7 +243,7 @@ def _rotation(
         least_deg = max(least_deg, SWING_SHARE * abs(episode_deg))
     if memory.arm.case is ArmCase.LIFT_OFF and memory.had_rotation:
         # The far end on the table leads the rotation: its rate is the arm's.
-        return rotation_deg, rate_deg_s, rotation_deg > tuning.torsion_after_tightening_deg
+        return rotation_deg, rate_deg_s, rotation_deg > again_deg
     fast = rate_deg_s >= tuning.slip_rate_deg_s
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
 
@@ -249,7 +253,7 @@ def _quick_frames(
     fused: FusedEstimate,
     params: GuardParams,
     rested_deg: float | None,
-    firm: bool,
+    borne_deg: float,
     only_outward: bool,
 ) -> int:
     """Return for how many frames a rotation from the resting angle counts, where nothing but slip should rotate it.
@@ -265,7 +269,7 @@ def _quick_frames(
         return 0
     away_deg = fused.rotation_deg - rested_deg
     error_share = CHANGE_SHARE if case is ArmCase.LIFT_OFF else 1.0
-    least_deg = memory.quick_threshold_deg(case, params, firm=firm)
+    least_deg = memory.quick_threshold_deg(case, params, borne_deg=borne_deg)
     least_deg = max(least_deg, error_share * uncertainty_deg(fused.sigma_deg, params))
     least_deg *= growth(memory.rotations, params)
     if abs(away_deg) <= least_deg:

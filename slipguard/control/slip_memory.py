@@ -37,8 +37,6 @@ NOISE_START_DEG = 0.06
 NOISE_MAX_DEG = 0.5
 NOISE_TIMES = 6.0
 """A rotation of this many standard deviations of the noise at rest is not noise."""
-FIRM_TIMES = 2.5
-"""A firm grip bears more load before it slips, and the gel twists further: a stiff pad up to 0.8 degrees."""
 STEADY_DEG_S = 3.0
 """A frame with a faster rotation is no resting angle: the rotation goes on, or a frame leapt."""
 
@@ -136,16 +134,18 @@ class SlipMemory:
             had_rotation=self.had_rotation or rotated,
         )
 
-    def quick_threshold_deg(self, case: ArmCase, params: GuardParams, *, firm: bool = False) -> float:
+    def quick_threshold_deg(self, case: ArmCase, params: GuardParams, *, borne_deg: float = 0.0) -> float:
         """Return the rotation that is slip where nothing else rotates the object: at rest, or in the first lift-off.
 
         It is the configured threshold, but at least NOISE_TIMES the noise learned at rest: 0.36 degrees at first.
 
-        firm: the grip uses most of the force limit.
+        borne_deg: elastic torsion that the grip bears without slip; once in the air, the load has arrived.
         """
-        given_deg = params.tighten_at_rest_deg
+        given_deg = params.tuning.tighten_at_rest_deg
         if case is ArmCase.LIFT_OFF:
-            given_deg = params.tighten_at_lift_off_deg * (FIRM_TIMES if firm else 1.0)
+            given_deg = params.tuning.tighten_at_lift_off_deg
+        if not self.arm.aloft:
+            given_deg = max(given_deg, borne_deg)
         return max(given_deg, NOISE_TIMES * min(math.sqrt(self.noise_deg2), NOISE_MAX_DEG))
 
     def switched(self, fused: FusedEstimate) -> SlipMemory:

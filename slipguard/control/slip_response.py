@@ -1,20 +1,25 @@
 """Respond to slip of a held object: tighten, and stop the arm.
 
-The force only ever rises. The first step is large, for a loop delay passes before its effect is seen. Further steps
-follow one loop delay apart while the object does not slow down. An episode ends when all has settled.
+The force only ever rises, to what the load needs (needed_force.py). Further steps follow one loop delay apart while the
+object does not slow down. An episode ends when all has settled.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from slipguard.control import force_limits
+from slipguard.control import force_limits, needed_force
 from slipguard.control.messages import Observation
+from slipguard.control.needed_force import LogNormal, NeededForce
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Message, Text
-from slipguard.control.slip_detector import SlipAssessment, assess_slip, uncertainty_deg
+from slipguard.control.slip_detector import TORSION_ON_TABLE_DEG, SlipAssessment, assess_slip, uncertainty_deg
+from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, SlipEpisode, gripper_at_rest
 
+AGAIN_DEG, AGAIN_SHARE = 1.0, 0.5
+"""While an object leaves the table, the grip is raised again after this further rotation, or this share of the torsion
+that it bears without slip."""
 SLOWING = 0.8
 """A rate below this share of that at the last step shows that the step works."""
 PROGRESS_DEG = 1.0
@@ -30,6 +35,8 @@ RATE_LAG_S = 0.05
 """A rate is the slope of a tenth of a second."""
 DELAY_MAX_S = 0.5
 """A longer delay of the gripper is not waited for."""
+REST_S = 0.5
+"""An object at rest in the air for this time shows its elastic torsion."""
 LATE_SHARE = 0.5
 """Beyond this share of `rotation_max_deg` the next step does not wait for the effect of the last one."""
 
@@ -57,12 +64,16 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     held = state.held
     if observation.fused is None or not state.guarding:
         return SlipResponse(state, stop_arm=held.slip is not None)
+    borne_deg = needed_force.borne_deg(state.grip.target_n, _friction(state, params), state.gel)
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    at_limit = force_range is None or state.grip.target_n >= force_range.high_n
     seen = assess_slip(
         held.memory,
         observation.fused,
         params,
         arm=observation.arm,
-        firm=state.grip.target_n >= force_limits.firm_n(params, observation.gripper_limits_n),
+        borne_deg=borne_deg,
+        again_deg=TORSION_ON_TABLE_DEG if at_limit else max(AGAIN_DEG, AGAIN_SHARE * borne_deg),
         only_outward=state.phase is Phase.LOWERING,
     )
     slip = held.slip
@@ -73,7 +84,9 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     if held.referenced and seen.memory.far_frames >= far_frames:
         return _give_up(state, seen, observation, params)
     if slip is None:
-        return _begin(state, seen, observation, params) if seen.slipping else SlipResponse(state)
+        if seen.slipping:
+            return _begin(state, seen, observation, params)
+        return SlipResponse(_learn_from_hold(state, seen, observation, params))
     if _has_settled(state, slip, seen, observation, params):
         memory = seen.memory.after_episode(rotated=slip.rotates, translated=slip.translates, raised=slip.raised)
         state = replace(state, held=replace(state.held, memory=memory, slip=None))
@@ -82,11 +95,11 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
 
 
 def _begin(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
-    """Take the first, large step."""
+    """Take the first step."""
+    state = _learn_from_slip(state, observation, params)
     now_s = observation.now_s
     slip = SlipEpisode(now_s, now_s, seen.rotation_deg, seen.rate_deg_s, seen.slip_mm)
-    firm_n = force_limits.firm_n(params, observation.gripper_limits_n)
-    return _tighten(state, slip, seen, observation, params, params.tuning.first_multiplier, firm_n)
+    return _tighten(state, slip, seen, observation, params)
 
 
 def _go_on(
@@ -111,7 +124,7 @@ def _go_on(
         return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
     if not (at_rest or late):
         return wait
-    return _tighten(state, slip, seen, observation, params, params.tuning.next_multiplier)
+    return _tighten(state, slip, seen, observation, params)
 
 
 def _progress_from(slip: SlipEpisode, seen: SlipAssessment, *, with_rate: bool = False) -> SlipEpisode:
@@ -143,17 +156,15 @@ def _tighten(
     seen: SlipAssessment,
     observation: Observation,
     params: GuardParams,
-    base_multiplier: float,
-    least_n: float = 0.0,
 ) -> SlipResponse:
-    """Tighten by a multiple of the present force, to `least_n` at least, up to the force limit."""
+    """Tighten to the force that the load needs, up to the force limit."""
     if _no_force(state, observation):
         return SlipResponse(_with_slip(state, slip), stop_arm=True)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
-    multiplier = force_limits.multiplier(base_multiplier, seen.rate_deg_s, params.tuning.multiplier_per_100_deg_s)
     present_n = target_n = state.grip.target_n
+    needed = _needed_force(state, seen, params)
     if force_range is not None:
-        target_n = force_range.allowed(least_n, force_range.raised(present_n, multiplier))
+        target_n = force_range.raised(present_n, needed.force_n)
     slip = replace(
         _progress_from(slip, seen, with_rate=True),
         rotates=slip.rotates or seen.rotates,
@@ -165,8 +176,50 @@ def _tighten(
     if target_n <= present_n:
         message = Text.AT_FORCE_LIMIT.message(what=seen.what, force_n=present_n)
         return SlipResponse(state, stop_arm=True, message=message)
-    message = Text.TIGHTENING.message(what=seen.what, from_n=present_n, to_n=target_n)
+    message = Text.TIGHTENING.message(what=seen.what, why=needed.reason, from_n=present_n, to_n=target_n)
     return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, message=message)
+
+
+def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams) -> NeededForce:
+    """Return the force that the load needs: where it is still arriving, the next one to try."""
+    ratio = needed_force.SEARCH
+    if seen.memory.arm.case is not ArmCase.LIFT_OFF:
+        ratio = needed_force.MARGIN * needed_force.load_ratio(
+            seen.rotation_deg, seen.rate_deg_s, seen.slip_mm, seen.slip_rate_mm_s, params.lever_mm
+        )
+    return needed_force.needed_force(
+        state.grip.target_n,
+        ratio,
+        slides=seen.translates and not seen.rotates,
+        friction=_friction(state, params),
+        modelled_n=params.modelled_n,
+    )
+
+
+def _learn_from_slip(state: GraspState, observation: Observation, params: GuardParams) -> GraspState:
+    """Return the state with what the torsion at the first slip says about friction and gel."""
+    if state.held.friction is not None or not observation.rotation_deg or state.grip.target_n <= 0.0:
+        return state
+    known = _friction(state, params), state.gel
+    friction, gel = needed_force.after_slip(state.grip.target_n, observation.rotation_deg, *known)
+    return replace(state, held=replace(state.held, friction=friction, gel_learned=True), gel=gel)
+
+
+def _learn_from_hold(
+    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
+) -> GraspState:
+    """Return the state with what the torsion of an object that has been lifted without any slip says about the gel."""
+    context = seen.memory.arm
+    rests = context.aloft and context.case is ArmCase.REST and seen.settled_s >= REST_S
+    if state.held.gel_learned or not rests or not state.held.referenced or state.grip.target_n <= 0.0:
+        return state
+    gel = needed_force.after_hold(state.grip.target_n, observation.rotation_deg, _friction(state, params), state.gel)
+    return replace(state, held=replace(state.held, gel_learned=True), gel=gel)
+
+
+def _friction(state: GraspState, params: GuardParams) -> LogNormal:
+    """Return what is known of the friction of the held object."""
+    return state.held.friction or needed_force.friction_of(params.friction)
 
 
 def _no_force(state: GraspState, observation: Observation) -> bool:

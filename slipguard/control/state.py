@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.slip_memory import SlipMemory
 from slipguard.devices import GripperState
@@ -114,6 +115,7 @@ class HeldObject:
         referenced: its rotation was estimated when it was gripped; no_estimate: else the reason.
         memory: of the slip detector. slip: the present episode.
         lost_since_s: since when it seems to be lost.
+        friction: estimated at its first slip; None: not yet. gel_learned: this grasp has shown the gel's stiffness.
     """
 
     referenced: bool = False
@@ -121,6 +123,8 @@ class HeldObject:
     memory: SlipMemory = field(default_factory=SlipMemory)
     slip: SlipEpisode | None = None
     lost_since_s: float | None = None
+    friction: LogNormal | None = None
+    gel_learned: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +253,7 @@ class GraspState:
         guarding: slip has an effect (`guard off` ends that until `guard on`).
         release: in RELEASED only.
         fault: in FAULT only: the latched one.
+        gel: torsional stiffness of the gels, learned over the grasps since the start.
     """
 
     phase: Phase = Phase.IDLE
@@ -263,6 +268,7 @@ class GraspState:
     adoption: Adoption = field(default_factory=Adoption)
     reported: Reported = field(default_factory=Reported)
     fault: Fault | None = None
+    gel: LogNormal = STIFFNESS_PRIOR
 
     @property
     def waits_for_gripper(self) -> bool:
@@ -277,8 +283,9 @@ class GraspState:
         return replace(self, phase=phase, since_s=now_s, arm=arm, release=None)
 
     def emptied(self, phase: Phase, now_s: float) -> GraspState:
-        """Return the state with nothing held: everything about the object is forgotten."""
-        return GraspState(phase, now_s, self.guarding, person=PersonNear(self.person.now), adoption=Adoption(done=True))
+        """Return the state with nothing held: everything about the object is forgotten, but not about the gels."""
+        person, adoption = PersonNear(self.person.now), Adoption(done=True)
+        return GraspState(phase, now_s, self.guarding, person=person, adoption=adoption, gel=self.gel)
 
     def taken_over(self, gripper: GripperState, now_s: float) -> GraspState:
         """Return the state that guards what the gripper holds, with the grip it has, from a new reference on.

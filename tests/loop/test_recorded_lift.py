@@ -134,7 +134,7 @@ def test_a_controller_that_decides_otherwise_is_detected(lift: Path) -> None:
     opened = recordings([lift])
     for one in opened:
         config = json.loads(one.attachments[m.CONFIG_ATTACHMENT])
-        config["guard"]["tuning"]["first_fraction"] = 0.6
+        config["guard"] |= {"friction": 0.5, "mass_kg": 0.6, "lever_mm": 60.0}
         one.attachments[m.CONFIG_ATTACHMENT] = json.dumps(config).encode()
     played = replay(opened)
     assert played.on_recorded.differences

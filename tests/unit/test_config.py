@@ -269,7 +269,7 @@ def test_one_sensor_for_both_fingers_is_refused() -> None:
 @given(
     first=st.none() | st.integers(1, 235),
     most=st.none() | st.floats(1.0, 235.0),
-    key=st.sampled_from(["first_force_n", "force_max_n", "stop_on_slip", "tighten_at_rest_deg", "mode"]),
+    key=st.sampled_from(["first_force_n", "force_max_n", "stop_on_slip", "lift_height_mm", "mode"]),
 )
 def test_the_default_of_a_missing_force_fits_the_given_ones(first: int | None, most: float | None, key: str) -> None:
     forces = {"first_force_n": first, "force_max_n": most}

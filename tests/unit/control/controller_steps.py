@@ -12,10 +12,8 @@ from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, Release
 
-COARSE = {
-    "tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0, "first_fraction": 0.1, "first_multiplier": 1.5,
-}  # fmt: skip
-"""Only thresholds that hold during any arm motion, and steps that follow from the present force alone."""
+COARSE = {"tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0}
+"""Only thresholds that hold during any arm motion."""
 PARAMS = guard_params(**COARSE)
 GUARD_MODE = guard_params(mode="guard", **COARSE)
 NOW_S = 10.0

@@ -9,16 +9,19 @@ from records import changed
 
 from slipguard.control.control_step import step
 from slipguard.control.messages import LiftArm, RequestKind, StopArm
+from slipguard.control.needed_force import MARGIN, PAD, RATIO_LEAST, SEARCH
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.devices import GripperState
 
+LEAST_STEP = (MARGIN * RATIO_LEAST) ** (1.0 / (1.0 + PAD.gamma))
 
-def test_the_first_step_is_large_and_stops_the_arm() -> None:
+
+def test_the_first_step_suits_the_load_and_stops_the_arm() -> None:
     play = Play().held()
     command = play.slips()
-    assert command.hold_force_n == pytest.approx(40.2 * (1.5 + 0.25 * 0.3), abs=0.9)
+    assert command.hold_force_n == pytest.approx(40.2 * LEAST_STEP, abs=0.9)
     assert command.arm == StopArm()
     assert "tightening" in (command.text or "")
     assert command.is_warning
@@ -76,7 +79,7 @@ def test_further_steps_wait_until_the_last_could_be_felt_and_for_progress() -> N
         assert play.slips(4.5 + 0.5 * number, 40.0, frames=1).hold_force_n is None
     command = play.slips(13.0, 40.0, frames=1)
     assert command.hold_force_n is not None
-    assert command.hold_force_n == pytest.approx(first_n * (1.25 + 0.1), abs=0.9)
+    assert command.hold_force_n == pytest.approx(first_n * LEAST_STEP, abs=0.9)
     play.steps(0.3)
     assert play.slips(13.5, 40.0, frames=1).hold_force_n is None  # hardly further
 
@@ -225,13 +228,13 @@ def test_at_the_force_limit_the_arm_waits_and_this_is_reported() -> None:
 
 
 def test_a_firm_grip_that_rotates_in_the_lift_off_is_tightened_too() -> None:
-    play = Play(guard_params(force_max_n=57.0, no_estimate_force_n=57.0)).held()
+    play = Play(guard_params(force_max_n=80.0, no_estimate_force_n=57.0)).held()
     play.step(RequestKind.LIFT)
     play.here = arm(5.0, moving=True)
     play.view = changed(play.view, sigma_deg=0.1)
     play.step()
     command = play.slips(1.1, 5.0)
-    assert command.hold_force_n == pytest.approx(40.0 * 1.3, abs=1.7)
+    assert command.hold_force_n == pytest.approx(40.2 * SEARCH ** (1.0 / (1.0 + PAD.gamma)), abs=0.9)
     assert command.arm == StopArm()
 
 

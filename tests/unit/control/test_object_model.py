@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from controller_steps import Play
 from observations import arm, guard_params
@@ -15,8 +13,6 @@ from slipguard.control.params import MODEL_RESERVE, GuardParams
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.friction import SoftPad, needed_force_n
 
-ROBOTIQ_85 = (20.0, 235.0)
-
 
 def test_the_force_is_the_worlds_with_a_reserve() -> None:
     item = find_object("wrench")
@@ -24,24 +20,16 @@ def test_the_force_is_the_worlds_with_a_reserve() -> None:
     needed_n = MODEL_RESERVE * needed_force_n(item, SoftPad())
     assert params.modelled_n == pytest.approx(needed_n, rel=1e-9)
     assert limits.first_n(params) == params.modelled_n
-    assert limits.firm_n(params, ROBOTIQ_85) == params.modelled_n
 
 
-def test_without_friction_and_mass_it_is_gentle_first_and_then_a_fraction_of_the_limit() -> None:
+def test_without_friction_and_mass_the_first_grip_is_the_configured_one() -> None:
     params = GuardParams()
     assert params.modelled_n is None
     assert limits.first_n(params) == 40.0
-    assert limits.firm_n(params, ROBOTIQ_85) == pytest.approx(0.7 * 129.6, abs=0.1)
-    assert limits.firm_n(params, (150.0, 235.0)) == math.inf
 
 
 def test_the_first_grip_is_no_weaker_than_configured() -> None:
     assert limits.first_n(guard_params(friction=1.0, mass_kg=0.1)) == 40.0
-
-
-def test_a_modelled_force_never_exceeds_the_force_limit() -> None:
-    params = guard_params(friction=0.5, mass_kg=0.9, lever_mm=100.0, force_max_n=130.0)
-    assert limits.firm_n(params, (20.0, 90.0)) == pytest.approx(90.0)
 
 
 def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:

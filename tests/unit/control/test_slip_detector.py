@@ -260,11 +260,11 @@ def test_an_end_of_an_episode_forgets_the_places_and_nothing_else() -> None:
     )
 
 
-def test_by_default_a_grip_is_not_firm_and_rotation_back_is_slip() -> None:
-    lifting = at_rest(0.0, start_mm=0.0, resting_deg=0.0, followed_s=10.0, case=ArmCase.LIFT_OFF)
+def test_by_default_no_torsion_is_borne_and_rotation_back_is_slip() -> None:
+    lifting = at_rest(0.0, start_mm=0.0, resting_deg=0.0, followed_s=10.0, case=ArmCase.LIFT_OFF, aloft=False)
     rising = arm(10.0, moving=True, at_s=NOW_S)
     assert assess_slip(lifting, observation(0.8), PARAMS, arm=rising).rotates
-    assert not assess_slip(lifting, observation(0.8), PARAMS, arm=rising, firm=True).rotates
+    assert not assess_slip(lifting, observation(0.8), PARAMS, arm=rising, borne_deg=1.0).rotates
     assert assess_slip(at_rest(5.0), observation(4.0), PARAMS, arm=stands()).rotates
     assert not assess_slip(at_rest(5.0), observation(4.0), PARAMS, arm=stands(), only_outward=True).rotates
 

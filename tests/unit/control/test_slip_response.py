@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 from controller_steps import NOW_S, PARAMS, PRIMED, seen_in, state_in
-from observations import arm, fused, gripper
+from observations import arm, fused, gripper, guard_params
 from records import changed
 
-from slipguard.control import force_limits as limits
 from slipguard.control.messages import Observation
+from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode
 from slipguard.control.slip_memory import ArmCase, SlipMemory
@@ -67,12 +67,12 @@ def test_gels_that_press_on_each_other_after_a_loss_are_not_tightened(rotation_d
 
 
 def test_a_firm_grip_tolerates_more_rotation_in_the_lift_off() -> None:
-    params = GuardParams()
     lifting = changed(PRIMED, frames=1, case=ArmCase.LIFT_OFF)
-    firm_n = limits.firm_n(params, (20.0, 235.0))
-    for target_n, slips in ((firm_n - 0.1, True), (firm_n, False)):
-        observation = view(0.8, arm=arm(10.0, moving=True, at_s=NOW_S))
-        assert (respond(state(memory=lifting, target_n=target_n), observation, params).hold_n is not None) is slips
+    soft = LogNormal(0.3, 0.2)
+    for target_n, gel, slips in ((40.0, STIFFNESS_PRIOR, True), (40.0, soft, False), (10.0, soft, True)):
+        observation = view(1.5, arm=arm(10.0, moving=True, at_s=NOW_S))
+        grasp = state(memory=lifting, target_n=target_n, gel=gel)
+        assert (respond(grasp, observation, GuardParams()).hold_n is not None) is slips
 
 
 def test_a_moved_baseline_moves_the_start_of_the_last_steps_progress() -> None:
@@ -98,10 +98,25 @@ def test_the_first_step_is_remembered_as_it_was() -> None:
     assert response.stop_arm
 
 
-def test_the_first_step_goes_to_most_of_the_force_limit() -> None:
-    params = GuardParams()
+@pytest.mark.parametrize("force_max_n", [60.0, 90.0, 130.0, 200.0])
+def test_the_first_step_depends_on_the_load_and_not_on_the_force_limit(force_max_n: float) -> None:
+    params = guard_params(force_max_n=force_max_n, no_estimate_force_n=50.0)
     response = respond(state(), view(7.0, 60.0), params)
-    assert response.hold_n == pytest.approx(limits.firm_n(params, (20.0, 235.0)), abs=0.85)
+    assert response.hold_n == pytest.approx(58.8, abs=0.1)
+    assert response.message is not None
+    assert "load 0.56 N·m, friction 0.61 ± 0.21: tightening from 40 N to 59 N" in response.message.text
+
+
+def test_an_object_that_turns_faster_lacks_more_force() -> None:
+    slow, fast = (respond(state(), view(3.0, rate_deg_s)).hold_n or 0.0 for rate_deg_s in (60.0, 200.0))
+    assert 40.0 < slow < fast
+
+
+def test_a_slide_is_answered_in_proportion_to_its_load() -> None:
+    response = respond(state(), view(0.0, 0.0, 2.5))
+    assert response.message is not None
+    assert "load 77.3 N, friction" in response.message.text
+    assert response.hold_n == pytest.approx(40.0 * 1.61, abs=0.9)
 
 
 def test_near_a_person_it_is_remembered_without_a_step() -> None:
@@ -309,3 +324,39 @@ def test_settling_takes_the_configured_time() -> None:
     for calm_s, settled in ((0.5, True), (0.51, False)):
         params = PARAMS.model_copy(update={"tuning": PARAMS.tuning.model_copy(update={"settle_s": calm_s})})
         assert (respond(state(slipping(4.0), resting(0.5)), view(4.5), params).state.held.slip is None) is settled
+
+
+# --- what a grasp shows about the gel ---
+
+
+@pytest.mark.parametrize(
+    ("changes", "learns"),
+    [
+        ({}, True),
+        ({"aloft": False}, False),
+        ({"settled_since_s": NOW_S - 0.2}, False),
+    ],
+)
+def test_an_object_that_rests_in_the_air_shows_the_gels_stiffness(changes: dict[str, object], learns: bool) -> None:
+    rests = changed(PRIMED, **({"aloft": True, "frames": 0} | changes))
+    grasp = respond(state(memory=rests), view()).state
+    assert (grasp.gel != STIFFNESS_PRIOR) is learns is grasp.held.gel_learned
+    again = respond(grasp, view()).state
+    assert again.gel == grasp.gel
+
+
+@pytest.mark.parametrize("changes", [{"gel_learned": True}, {"referenced": False}, {"target_n": 0.0}])
+def test_each_grasp_shows_it_once_and_only_with_a_reference_and_a_force(changes: dict[str, object]) -> None:
+    rests = changed(PRIMED, aloft=True, frames=0)
+    assert respond(state(memory=rests, **changes), view()).state.gel == STIFFNESS_PRIOR
+
+
+def test_only_the_first_slip_shows_friction_and_gel() -> None:
+    first = respond(state(), view(7.0, 60.0)).state
+    assert first.held.friction is not None
+    assert first.gel != STIFFNESS_PRIOR
+    second = respond(changed(state(), friction=first.held.friction, gel=first.gel), view(7.0, 60.0)).state
+    assert (second.held.friction, second.gel) == (first.held.friction, first.gel)
+    assert first.emptied(Phase.IDLE, NOW_S).gel == first.gel
+    weightless = respond(state(target_n=0.0), view(7.0, 60.0)).state
+    assert (weightless.held.friction, weightless.gel) == (None, STIFFNESS_PRIOR)

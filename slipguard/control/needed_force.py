@@ -1,0 +1,169 @@
+"""Estimate the grip force that a load needs, from the elastic torsion of the gel and from the onset of slip.
+
+Two equal fingers press with N on patches of radius a(N). They hold a torque up to (limit surface, limit_surface.py)
+
+    T(N) = 4 mu xi_nu a(N) N ~ N^(1 + gamma)                                     Costanzo et al., slipping_control
+    f(N) = 2 mu N                                        for a load without lever
+
+and twist elastically by theta = tau / (2 k), with k = k6 (a / 6 mm)^3 the stiffness of one gel  (Johnson, Contact
+Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
+
+1. The onset of slip. At the first slip under a known force N1 the torque is T(N1). More than that arrives: by r.
+2. Free slip. The excess turns the object: I alpha = tau - T. A bar held at its end has I = 4/3 m b^2, so without
+   friction it would turn with 3 g / (4 b), and r = tau / T = 1 / (1 - alpha 4 b / (3 g)), where alpha = rate^2 / (2
+   theta). A slide is the same with g alone. Without a known lever, b = 60 mm. r is at least RATIO_LEAST, for rates lag,
+   and at most RATIO_MAX, for a gel that swings elastically turns as fast at first.
+3. Slip while the object leaves the table. Its far end leads it: the rate is the arm's, whatever the load is, and no
+   image shows r. So the load is searched: each step is r = SEARCH, which ends within a factor of 1 to SEARCH above
+   the needed force, in the geometric mean its square root. The arm stands meanwhile, and the load does not grow.
+4. Torsion that returns. A gel whose stiffness is known twists by theta_on = T(N) / (2 k) before anything slips. Up to
+   this share of it a grip is firm, and not tightened. k6 is a log-normal estimate: at first so uncertain that it
+   excuses no rotation. Each object that was lifted and rests in the air without any slip has twisted the gel by a
+   share of theta_on, which narrows it. At each first slip, theta = theta_on also narrows the friction (as far as k6
+   is known): ln theta_on = ln mu - ln k6 + ln(...) is linear in both, so one Kalman update serves them.
+
+The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: friction and patch cancel. MARGIN is
+added where r was measured. With `friction` and `mass_kg` given, the force of the limit surface counts, too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from slipguard.limit_surface import GRAVITY_M_S2, Pad, torque_limit_n_m
+
+FINGERS = 2
+PAD = Pad()
+MARGIN = 1.15
+SEARCH = 1.5
+RATIO_LEAST, RATIO_MAX = 1.4, 2.5
+"""The rate lags behind at first, and a second step costs one more delay of the loop."""
+LEVER_MM = 60.0
+"""Where no lever is given."""
+STIFFNESS_RADIUS_M = 6e-3
+HELD_SHARE, HELD_SPREAD = 0.4, 0.7
+"""A firm grip uses this share of its torque, and the spread of that (standard deviation of the logarithm)."""
+ONSET_SPREAD = 0.5
+"""Spread of the torsion at the first slip: part of it may have been slip already."""
+TORSION_LEAST_DEG = 0.1
+"""A smaller torsion is the estimate's noise: the gel is at least as stiff as this says."""
+SURE = 2.0
+"""So many spreads of the stiffness below its estimate, no torsion is excused."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogNormal:
+    """An estimated quantity: its median, and the standard deviation of its logarithm."""
+
+    median: float
+    spread: float
+
+    @property
+    def sigma(self) -> float:
+        """One standard deviation, about."""
+        return self.median * self.spread
+
+    def scaled(self, spreads: float) -> float:
+        """Return the value this many spreads above the median."""
+        return self.median * math.exp(spreads * self.spread)
+
+    def moved(self, log_difference: float, total: float) -> LogNormal:
+        """Return the estimate after a measurement that differs by this in the logarithm, with this variance in all."""
+        gain = self.spread**2 / total
+        return LogNormal(self.median * math.exp(gain * log_difference), self.spread * math.sqrt(1.0 - gain))
+
+
+STIFFNESS_PRIOR = LogNormal(0.3, 1.5)
+"""Torsional stiffness of one gel at 6 mm, N m/rad: 0.16 for 0.14 MPa, 50 for a stiff pad."""
+FRICTION_PRIOR = LogNormal(0.6, 0.35)
+FRICTION_GIVEN_SPREAD = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class NeededForce:
+    """The force that a slipping load needs, and why.
+
+    Args:
+        load: torque in N m, or force in N if `slides`, of both fingers. friction: between object and gel.
+        force_n: per finger.
+    """
+
+    load: float
+    friction: LogNormal
+    force_n: float
+    slides: bool = False
+
+    @property
+    def reason(self) -> str:
+        """The estimate in words, with values."""
+        load = f"{self.load:.1f} N" if self.slides else f"{self.load:.2f} N·m"
+        return f"load {load}, friction {self.friction.median:.2f} ± {self.friction.sigma:.2f}"
+
+
+def friction_of(given: float | None) -> LogNormal:
+    """Return what is known of the friction before anything slips."""
+    return FRICTION_PRIOR if given is None else LogNormal(given, FRICTION_GIVEN_SPREAD)
+
+
+def torque_n_m(force_n: float, friction: float) -> float:
+    """Return the torque that both fingers hold."""
+    return FINGERS * torque_limit_n_m(force_n, friction, PAD)
+
+
+def onset_deg(force_n: float, friction: float, stiffness_n_m_rad: float) -> float:
+    """Return the elastic torsion at which a grip begins to slip."""
+    wider = (PAD.contact_radius_m(force_n) / STIFFNESS_RADIUS_M) ** 3
+    return math.degrees(torque_n_m(force_n, friction) / (FINGERS * stiffness_n_m_rad * wider)) if wider > 0.0 else 0.0
+
+
+def borne_deg(force_n: float, friction: LogNormal, stiffness: LogNormal) -> float:
+    """Return the torsion that this grip certainly bears without slip: near 0 while the stiffness is unknown."""
+    return onset_deg(force_n, friction.scaled(-1.0), stiffness.scaled(SURE))
+
+
+def after_slip(
+    force_n: float, torsion_deg: float, friction: LogNormal, stiffness: LogNormal
+) -> tuple[LogNormal, LogNormal]:
+    """Return friction and stiffness after the first slip, with the torsion up to which nothing had slipped."""
+    expected_deg = onset_deg(force_n, friction.median, stiffness.median)
+    difference = math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
+    total = friction.spread**2 + stiffness.spread**2 + ONSET_SPREAD**2
+    return friction.moved(difference, total), stiffness.moved(-difference, total)
+
+
+def after_hold(force_n: float, torsion_deg: float, friction: LogNormal, stiffness: LogNormal) -> LogNormal:
+    """Return the stiffness after an object has been lifted and rests in the air without any slip."""
+    expected_deg = HELD_SHARE * onset_deg(force_n, friction.median, stiffness.median)
+    difference = math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
+    total = friction.spread**2 + stiffness.spread**2 + HELD_SPREAD**2
+    return stiffness.moved(-difference, total)
+
+
+def load_ratio(rotation_deg: float, rate_deg_s: float, slip_mm: float, rate_mm_s: float, lever_mm: float) -> float:
+    """Return how many times the load exceeds what the grip holds, from its motion: RATIO_LEAST to RATIO_MAX.
+
+    Args:
+        rotation_deg, rate_deg_s: free rotation. slip_mm, rate_mm_s: free slide. lever_mm: 0 if unknown.
+    """
+    free_rad_s2 = 0.75 * GRAVITY_M_S2 / (1e-3 * (lever_mm or LEVER_MM))
+    shares = (
+        math.radians(max(rate_deg_s, 0.0) ** 2 / (2.0 * rotation_deg)) / free_rad_s2 if rotation_deg > 0.0 else 0.0,
+        1e-3 * max(rate_mm_s, 0.0) ** 2 / (2.0 * slip_mm) / GRAVITY_M_S2 if slip_mm > 0.0 else 0.0,
+    )
+    return max(1.0 / max(1.0 - max(shares), 1.0 / RATIO_MAX), RATIO_LEAST)
+
+
+def needed_force(
+    present_n: float, ratio: float, *, slides: bool, friction: LogNormal, modelled_n: float | None
+) -> NeededForce:
+    """Return the force for `ratio` times the load at which this grip slips.
+
+    Args:
+        present_n: per finger, above 0.
+        ratio: margin included. slides: without rotation.
+        modelled_n: what given friction, mass and lever require; None if they are not given.
+    """
+    holds = FINGERS * friction.median * present_n if slides else torque_n_m(present_n, friction.median)
+    force_n = present_n * ratio ** (1.0 if slides else 1.0 / (1.0 + PAD.gamma))
+    return NeededForce(holds * ratio, friction, max(force_n, modelled_n or 0.0), slides)

@@ -1,0 +1,102 @@
+"""The force that a load needs: from free slip, from the search while it arrives, and from the gel's torsion."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from slipguard.control import needed_force as need
+from slipguard.control.needed_force import FRICTION_PRIOR, STIFFNESS_PRIOR, LogNormal
+from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n, torque_limit_n_m
+
+
+def test_the_force_for_a_larger_torque_is_that_of_the_limit_surface() -> None:
+    for ratio in (1.1, 1.5, 2.5):
+        needed = need.needed_force(40.0, ratio, slides=False, friction=FRICTION_PRIOR, modelled_n=None)
+        held_n_m = 2.0 * torque_limit_n_m(needed.force_n, FRICTION_PRIOR.median, Pad())
+        assert held_n_m == pytest.approx(needed.load)
+        assert held_n_m == pytest.approx(ratio * need.torque_n_m(40.0, FRICTION_PRIOR.median))
+
+
+def test_the_force_for_a_larger_load_without_lever_is_proportional_to_it() -> None:
+    needed = need.needed_force(30.0, 1.5, slides=True, friction=LogNormal(0.4, 0.2), modelled_n=None)
+    assert needed.force_n == pytest.approx(45.0)
+    assert needed.load == pytest.approx(2 * 0.4 * 45.0)
+    assert needed.force_n == pytest.approx(force_needed_n(0.5 * needed.load, 0.0, 0.4, Pad()))
+    assert needed.reason == "load 36.0 N, friction 0.40 ± 0.08"
+
+
+def test_a_given_object_counts_if_it_needs_more() -> None:
+    for modelled_n, force_n in ((90.0, 90.0), (10.0, 45.0)):
+        needed = need.needed_force(30.0, 1.5, slides=True, friction=FRICTION_PRIOR, modelled_n=modelled_n)
+        assert needed.force_n == pytest.approx(force_n)
+
+
+@pytest.mark.parametrize("ratio", [1.5, 2.0])
+def test_the_excess_of_the_load_follows_from_the_free_rotation(ratio: float) -> None:
+    lever_mm, after_s = 80.0, 0.05
+    alpha_rad_s2 = 0.75 * GRAVITY_M_S2 / (1e-3 * lever_mm) * (1.0 - 1.0 / ratio)
+    rotation_deg = math.degrees(0.5 * alpha_rad_s2 * after_s**2)
+    rate_deg_s = math.degrees(alpha_rad_s2 * after_s)
+    assert need.load_ratio(rotation_deg, rate_deg_s, 0.0, 0.0, lever_mm) == pytest.approx(ratio)
+
+
+def test_the_excess_of_the_load_follows_from_the_free_slide() -> None:
+    a_m_s2, after_s = GRAVITY_M_S2 * (1.0 - 1.0 / 1.8), 0.03
+    slip_mm, rate_mm_s = 500.0 * a_m_s2 * after_s**2, 1000.0 * a_m_s2 * after_s
+    assert need.load_ratio(0.0, 0.0, slip_mm, rate_mm_s, 0.0) == pytest.approx(1.8)
+
+
+@pytest.mark.parametrize(
+    ("motion", "ratio"),
+    [
+        ((0.0, 0.0, 0.0, 0.0), need.RATIO_LEAST),
+        ((5.0, -900.0, 5.0, -900.0), need.RATIO_LEAST),
+        ((5.0, 9000.0, 0.0, 0.0), need.RATIO_MAX),
+        ((0.0, 0.0, 0.5, 9000.0), need.RATIO_MAX),
+    ],
+)
+def test_the_ratio_is_limited(motion: tuple[float, float, float, float], ratio: float) -> None:
+    assert need.load_ratio(*motion, 0.0) == pytest.approx(ratio)
+
+
+def test_an_unknown_gel_excuses_no_rotation_and_a_known_soft_one_does() -> None:
+    assert need.borne_deg(40.0, FRICTION_PRIOR, STIFFNESS_PRIOR) < 0.4
+    soft = LogNormal(0.2, 0.3)
+    assert 2.0 < need.borne_deg(40.0, FRICTION_PRIOR, soft) < need.onset_deg(40.0, FRICTION_PRIOR.median, soft.median)
+    assert need.borne_deg(0.0, FRICTION_PRIOR, soft) == 0.0
+
+
+@pytest.mark.parametrize("true_n_m_rad", [0.1, 0.3, 1.0, 50.0])
+def test_the_stiffness_is_learned_from_objects_that_rest_in_the_air(true_n_m_rad: float) -> None:
+    gel = STIFFNESS_PRIOR
+    for share in (0.2, 0.5, 0.4, 0.7, 0.3):
+        torsion_deg = share * need.onset_deg(40.0, 0.6, true_n_m_rad)
+        gel = need.after_hold(40.0, torsion_deg, FRICTION_PRIOR, gel)
+    assert gel.spread < 0.5
+    if true_n_m_rad < 10.0:
+        assert gel.median == pytest.approx(true_n_m_rad, rel=0.4)
+    else:
+        assert gel.median > 3.0  # torsion below the noise: at least so stiff
+
+
+def test_the_first_slip_on_a_known_gel_shows_the_friction() -> None:
+    gel = LogNormal(0.3, 0.1)
+    torsion_deg = need.onset_deg(40.0, 0.3, 0.3)
+    friction, after = need.after_slip(40.0, torsion_deg, FRICTION_PRIOR, gel)
+    assert friction.median < 0.55
+    assert friction.spread < FRICTION_PRIOR.spread
+    assert after.median == pytest.approx(gel.median, rel=0.05)
+
+
+def test_the_first_slip_on_an_unknown_gel_shows_its_stiffness() -> None:
+    friction, gel = need.after_slip(40.0, need.onset_deg(40.0, 0.6, 2.0), FRICTION_PRIOR, STIFFNESS_PRIOR)
+    assert gel.median == pytest.approx(2.0, rel=0.4)
+    assert friction.median == pytest.approx(0.6, rel=0.2)
+
+
+def test_a_given_friction_is_more_certain() -> None:
+    assert need.friction_of(None) == FRICTION_PRIOR
+    assert need.friction_of(0.4).median == 0.4
+    assert need.friction_of(0.4).spread < FRICTION_PRIOR.spread
