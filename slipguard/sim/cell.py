@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from slipguard.limit_surface import NO_CONTACT_N
 from slipguard.sim import arm_plant, gripper_plant, object_motion
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
+from slipguard.sim.friction import SoftPad
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.gripper_plant import Drive, GripperDynamics, GripperPlant
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion
@@ -29,6 +30,10 @@ GEL_IMPRINT = "egg"
 """The object whose imprint is that of another gel: a smooth dome."""
 GEL_PRESS_MM = 0.6
 """Indentation of two gels that press on each other with 40 N."""
+
+
+Mechanics = Callable[[ObjectMotion, GraspedBody, SoftPad, ExternalLoad, float], ObjectMotion]
+"""As `object_motion.advance`: motion, body, gel, load, step in seconds -> motion."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,8 @@ class CellState:
         fingertip_mm: thickness of each fingertip sensor; without an object the gels meet at twice this width.
         table_mm: finger height at which the object lies flat.
         disturbance_m_s2: additional acceleration of the fingers (vibration, a touch), up, by time; None for none.
+        push: additional force on the object, downwards, and torque, by time; None for none.
+        mechanics: returns the motion of the object one step later.
     """
 
     gripper: GripperPlant
@@ -62,6 +69,8 @@ class CellState:
     dropped: str | None = None
     fingertip_mm: float = 0.0
     disturbance_m_s2: Callable[[float], float] | None = None
+    push: Callable[[float], tuple[float, float]] | None = None
+    mechanics: Mechanics = object_motion.advance
 
     @property
     def present(self) -> PlacedObject | None:
@@ -93,30 +102,32 @@ def step(cell: CellState, now_s: float, step_s: float, *, gripper_works: bool = 
     if not pressed and not cell.held:
         return replace(cell, gripper=gripper, table_mm=here.height_mm)
     motion = cell.motion if cell.held else ObjectMotion()
+    push_n, push_n_m = cell.push(now_s) if cell.push is not None else (0.0, 0.0)
     load = ExternalLoad(
         force_n=gripper.force_n,
         acceleration_m_s2=1e-3 * here.acceleration_mm_s2
         + (cell.disturbance_m_s2(now_s) if cell.disturbance_m_s2 else 0.0),
         rise_m=1e-3 * (here.height_mm - cell.table_mm),
         rise_m_s=1e-3 * here.speed_mm_s,
+        push_n=push_n,
+        push_n_m=push_n_m,
     )
-    motion = object_motion.advance(motion, placed.body, placed.scenario.gel, load, step_s)
-    dropped = _why_dropped(motion, placed.body, gripper)
+    motion = cell.mechanics(motion, placed.body, placed.scenario.gel, load, step_s)
+    dropped = _why_dropped(motion, gripper)
     held = pressed and dropped is None
     if not pressed and dropped is None:  # set down: it rests on the table
         motion = ObjectMotion(rotation_rad=motion.rotation_rad, slip_m=motion.slip_m, on_table=True)
     return replace(cell, gripper=gripper, motion=motion, held=held, dropped=dropped)
 
 
-def _why_dropped(motion: ObjectMotion, body: GraspedBody, gripper: GripperPlant) -> str | None:
-    """Return why the object is dropped in this state; None if it is not."""
+def _why_dropped(motion: ObjectMotion, gripper: GripperPlant) -> str | None:
+    """Return why the object is dropped in this state; None if it is not. A slide may end while fingers touch it."""
     if abs(motion.rotation_rad) > math.radians(MAX_ROTATION_DEG):
         return f"rotated more than {MAX_ROTATION_DEG:.0f} deg"
-    if abs(motion.slip_m) > 1e-3 * MAX_SLIP_MM:
+    if math.hypot(motion.slip_m, motion.side_m) > 1e-3 * MAX_SLIP_MM:
         return "contact lost"
-    if motion.on_table or motion.load_n < body.n_fingers * body.friction * gripper.force_n:
-        return None
-    return "contact lost" if gripper.drive is Drive.OPENING or gripper.force_n <= NO_CONTACT_N else "f_t >= mu N"
+    opened = gripper.drive is Drive.OPENING or gripper.force_n <= NO_CONTACT_N
+    return "contact lost" if opened and motion.slipping and not motion.on_table else None
 
 
 def is_static(before: CellState, after: CellState, now_s: float) -> bool:
@@ -127,7 +138,7 @@ def is_static(before: CellState, after: CellState, now_s: float) -> bool:
         return False
     if not after.held:
         return True
-    if after.disturbance_m_s2 is not None:
+    if after.disturbance_m_s2 is not None or after.push is not None:
         return False
     old, new = before.motion, after.motion
     at_rest = abs(new.rate_rad_s) < 1e-8 and abs(new.slip_m_s) < 1e-10
@@ -135,7 +146,7 @@ def is_static(before: CellState, after: CellState, now_s: float) -> bool:
 
 
 def view(cell: CellState, finger_sign: int) -> GelView:
-    """Return the view of a finger's camera; left +1, right -1 (mirrored image). World down is image down."""
+    """Return the view of a finger's camera; left +1, right -1 (mirrored image)."""
     placed = cell.present
     if cell.gels_meet:
         depth_mm = GEL_PRESS_MM * math.sqrt(cell.gripper.force_n / REFERENCE_PRESS_N)
@@ -144,15 +155,25 @@ def view(cell: CellState, finger_sign: int) -> GelView:
         return GelView(object_name="", depth_mm=-1.0)
     motion, scenario = cell.motion, placed.scenario
     rotation_sign = finger_sign * scenario.lever_sign
+    right, up = (1e3 * part for part in _in_image(motion.slip_m, motion.side_m, scenario))
+    right_s, up_s = (1e3 * part for part in _in_image(motion.slip_m_s, 0.0, scenario))
     return GelView(
         object_name=placed.item.name,
-        x_mm=finger_sign * scenario.x_mm,
-        y_mm=scenario.y_mm - 1e3 * motion.slip_m,
+        x_mm=finger_sign * (scenario.x_mm + right),
+        y_mm=scenario.y_mm + up,
         angle_deg=finger_sign * scenario.angle_deg + rotation_sign * math.degrees(motion.rotation_rad),
         depth_mm=_depth_mm(placed.item, cell),
-        vy_mm_s=-1e3 * motion.slip_m_s,
+        vx_mm_s=finger_sign * right_s,
+        vy_mm_s=up_s,
         rate_deg_s=rotation_sign * math.degrees(motion.rate_rad_s),
     )
+
+
+def _in_image(down: float, side: float, scenario: Scenario) -> tuple[float, float]:
+    """Return the left image's (right, up) of a way along gravity and one towards the center of mass."""
+    side *= -scenario.lever_sign  # a lever to the left rotates the object counter-clockwise
+    cos, sin = math.cos(math.radians(scenario.wrist_deg)), math.sin(math.radians(scenario.wrist_deg))
+    return down * sin + side * cos, side * sin - down * cos
 
 
 def _depth_mm(item: SimObject, cell: CellState) -> float:
@@ -171,7 +192,7 @@ class WorldTruth:
 
     Attributes:
         rotation_deg: elastic_deg (reversible torsion of the gel) + slip_deg.
-        slip_mm, slip_rate_mm_s: translational slip, downwards.
+        slip_mm, slip_rate_mm_s: translational slip, downwards; elastic_mm of it is the gel's shear.
         needed_force_n: per finger, to hold the level object at rest.
         load_n: tangential load per finger.
         in_contact: the gels press on the object, or on each other.
@@ -186,6 +207,7 @@ class WorldTruth:
     angle_deg: float
     slip_mm: float
     slip_rate_mm_s: float
+    elastic_mm: float
     force_n: float
     applied_n: float
     needed_force_n: float
@@ -213,6 +235,7 @@ def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
         angle_deg=start_deg + rotation_deg,
         slip_mm=1e3 * motion.slip_m,
         slip_rate_mm_s=1e3 * motion.slip_m_s,
+        elastic_mm=1e3 * motion.shear_m,
         force_n=cell.gripper.force_n,
         applied_n=cell.gripper.applied_n,
         needed_force_n=placed.needed_n if placed is not None else 0.0,

@@ -28,6 +28,7 @@ class SoftPad(Pad):
         relaxation_s: damping over stiffness of the gel, in torsion and in shear.
         viscous_n_m_s: torque per slip rate in addition to dry friction (0.02: Costanzo et al.).
         viscous_n_s_m: tangential force per slip speed in addition to dry friction.
+        creep: further deformation under a constant load, relative to the elastic one; 0 for none. creep_s: its time.
     """
 
     torsion_n_m_rad: float = 50.0
@@ -35,6 +36,8 @@ class SoftPad(Pad):
     relaxation_s: float = 0.01
     viscous_n_m_s: float = 0.02
     viscous_n_s_m: float = 20.0
+    creep: float = 0.0
+    creep_s: float = 2.0
 
     def stiffness(self, force_n: float) -> tuple[float, float]:
         """Return the torsional (N m/rad) and shear (N/m) stiffness of one fingertip at this force.

@@ -31,6 +31,10 @@ TABLE_DAMPING = 0.2
 class GraspedBody:
     """The mechanics of an object and its grip, in SI units.
 
+    friction: mean of both fingers. A rigid object moves alike in both, so a weaker finger passes its load to the other,
+        and together they hold what two fingers of the mean friction hold.
+    friction_difference: of the left finger from the mean, relative. Only MuJoCo resolves the two fingers.
+    lever_rad: direction of the lever below the horizontal at rotation 0.
     translates: False pins the object to the grasp axis (a hinge), to study rotation only.
     """
 
@@ -41,6 +45,8 @@ class GraspedBody:
     friction: float
     n_fingers: int = 2
     translates: bool = True
+    friction_difference: float = 0.0
+    lever_rad: float = 0.0
 
     @classmethod
     def of(cls, item: SimObject, n_fingers: int = 2, translates: bool = True) -> GraspedBody:
@@ -75,6 +81,11 @@ class ObjectMotion:
     on_table: bool = False
     """At least one end is within `LANDING_M` of the table."""
     slipping: bool = False
+    creep_n_m: float = 0.0
+    creep_n: float = 0.0
+    """The part of the stored torque and force that relaxes while the gel creeps."""
+    side_m: float = 0.0
+    """Position across gravity, towards the center of mass. Only MuJoCo's object moves this way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +97,7 @@ class ExternalLoad:
         acceleration_m_s2: of the fingers, up.
         rise_m, rise_m_s: of the fingers above the height at which the object lay on the table; None without a table.
         torque_n_m: replaces the gravity torque if given.
+        push_n, push_n_m: of something that touches the object: force downwards and torque, besides the weight.
     """
 
     force_n: float
@@ -93,6 +105,8 @@ class ExternalLoad:
     rise_m: float | None = None
     rise_m_s: float = 0.0
     torque_n_m: float | None = None
+    push_n: float = 0.0
+    push_n_m: float = 0.0
 
 
 def table_reaction_n(motion: ObjectMotion, body: GraspedBody, load: ExternalLoad) -> tuple[float, float, bool]:
@@ -126,9 +140,10 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
     dt = step_s
     weight_n = body.mass_kg * (GRAVITY_M_S2 + load.acceleration_m_s2)
     near_n, far_n, on_table = table_reaction_n(motion, body, load)
-    lever_m = body.lever_m * math.cos(motion.rotation_rad)
+    lever_m = body.lever_m * math.cos(body.lever_rad + motion.rotation_rad)
     torque_n_m = (weight_n - 2.0 * far_n) * lever_m if load.torque_n_m is None else load.torque_n_m
-    load_n = weight_n - near_n - far_n
+    torque_n_m += load.push_n_m
+    load_n = weight_n + load.push_n - near_n - far_n
     if load.force_n <= NO_CONTACT_N:
         rate = motion.rate_rad_s + dt * torque_n_m / body.inertia_kg_m2
         fall = motion.slip_m_s + dt * load_n / body.mass_kg if body.translates else 0.0
@@ -183,16 +198,30 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
         shear_rate = (force - motion.shear_n) / shear_gain
     else:
         speed = shear_rate = 0.0
+    twist_n_m, shear_n = n * torsion * dt * twist_rate, n * shear * dt * shear_rate
+    crept_n_m, creep_n_m = _relaxed(gel, motion.creep_n_m, twist_n_m, dt)
+    crept_n, creep_n = _relaxed(gel, motion.creep_n, shear_n, dt)
     return ObjectMotion(
         rotation_rad=motion.rotation_rad + dt * rate,
         rate_rad_s=rate,
         twist_rad=motion.twist_rad + dt * twist_rate,
-        twist_n_m=motion.twist_n_m + n * torsion * dt * twist_rate,
+        twist_n_m=motion.twist_n_m + twist_n_m - crept_n_m,
         slip_m=motion.slip_m + dt * speed,
         slip_m_s=speed,
         shear_m=motion.shear_m + dt * shear_rate,
-        shear_n=motion.shear_n + n * shear * dt * shear_rate,
+        shear_n=motion.shear_n + shear_n - crept_n,
         load_n=load_n,
         on_table=on_table,
         slipping=rotational_slip != 0.0 or translational_slip != 0.0,
+        creep_n_m=creep_n_m,
+        creep_n=creep_n,
     )
+
+
+def _relaxed(gel: SoftPad, creeping: float, added: float, step_s: float) -> tuple[float, float]:
+    """Return what a creeping gel loses of its stored load in a step, and what can still relax (a Maxwell branch)."""
+    if gel.creep == 0.0:
+        return 0.0, 0.0
+    creeping += added * gel.creep / (1.0 + gel.creep)
+    lost = creeping * min(step_s * (1.0 + gel.creep) / gel.creep_s, 1.0)
+    return lost, creeping - lost

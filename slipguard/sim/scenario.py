@@ -47,7 +47,9 @@ class Scenario:
     Attributes:
         x_mm, y_mm, angle_deg: the object in the left image at contact.
         lever_sign: +1 if the center of mass causes a counter-clockwise rotation in the left image, else -1.
-        friction_scale: factor on the object's friction.
+        friction_scale: factor on the object's friction. friction_difference: see `GraspedBody`.
+        wrist_deg: direction of gravity in the left image, counter-clockwise from image down.
+        lever_deg: direction of the lever below the horizontal; only 0 fits an object that lies on a table.
     """
 
     object_name: str
@@ -57,6 +59,9 @@ class Scenario:
     angle_deg: float = 0.0
     lever_sign: int = 1
     friction_scale: float = 1.0
+    friction_difference: float = 0.0
+    wrist_deg: float = 0.0
+    lever_deg: float = 0.0
     gel: SoftPad = field(default_factory=SoftPad)
     gripper: GripperDynamics = field(default_factory=GripperDynamics)
     left: FrameDelivery = field(default_factory=FrameDelivery)

@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, field, replace
 
 from slipguard.devices import ArmState, GripperState
 from slipguard.errors import CommandRefused, InputError
-from slipguard.sim import arm_plant, cell, gripper_plant
+from slipguard.sim import arm_plant, cell, gripper_plant, object_motion
 from slipguard.sim.arm_plant import ArmModel
 from slipguard.sim.catalogue import find_object
-from slipguard.sim.cell import CellState, PlacedObject, WorldTruth
+from slipguard.sim.cell import CellState, Mechanics, PlacedObject, WorldTruth
 from slipguard.sim.friction import needed_force_n
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.gripper_plant import GripperDynamics, GripperPlant
@@ -53,6 +53,7 @@ class World:
 
     Args:
         lookup: name -> object; default: the catalogue.
+        mechanics: moves the held object; default: `object_motion.advance`.
 
     Attributes:
         faults: injected faults; a fault of gripper or arm takes effect from the world's last time on.
@@ -60,7 +61,11 @@ class World:
     """
 
     def __init__(
-        self, settings: WorldSettings | None = None, seed: int = 0, lookup: Callable[[str], SimObject] | None = None
+        self,
+        settings: WorldSettings | None = None,
+        seed: int = 0,
+        lookup: Callable[[str], SimObject] | None = None,
+        mechanics: Mechanics = object_motion.advance,
     ) -> None:
         self.settings = settings or WorldSettings()
         self.seed = seed
@@ -70,7 +75,7 @@ class World:
         self._deliveries = {finger: initial_delivery(seed, finger) for finger in _SIGNS}
         width_mm = self.settings.start_width_mm
         plant, fingertip_mm = GripperPlant(width_mm=width_mm, goal_mm=width_mm), self.settings.fingertip_mm
-        self._cell = CellState(plant, self.settings.gripper, fingertip_mm=fingertip_mm)
+        self._cell = CellState(plant, self.settings.gripper, fingertip_mm=fingertip_mm, mechanics=mechanics)
         self._origin_s: float | None = None
         self._now_s = -math.inf
         self._steps = 0
@@ -95,7 +100,12 @@ class World:
                 "thick; release the gripper first"
             )
         item = replace(item, friction=item.friction * scenario.friction_scale)
-        placed = PlacedObject(scenario, item, GraspedBody.of(item), needed_force_n(item, scenario.gel))
+        body = replace(
+            GraspedBody.of(item),
+            friction_difference=scenario.friction_difference,
+            lever_rad=math.radians(scenario.lever_deg),
+        )
+        placed = PlacedObject(scenario, item, body, needed_force_n(item, scenario.gel))
         self._deliveries = {"left": scenario.left, "right": scenario.right}
         self._put(
             replace(
@@ -118,6 +128,22 @@ class World:
         """Accelerate the fingers additionally from now on, up, by time: vibration, a touch. None ends it."""
         self._advance(now_s)
         self._put(replace(self._cell, disturbance_m_s2=acceleration_m_s2))
+
+    def push(self, now_s: float, force: Callable[[float], tuple[float, float]] | None) -> None:
+        """Push the object from now on: force downwards (N) and torque (N m) by time. None ends it."""
+        self._advance(now_s)
+        self._put(replace(self._cell, push=force))
+
+    def add_mass(self, now_s: float, mass_kg: float) -> None:
+        """Put mass on the object at its center of mass: something is poured or laid into it."""
+        self._advance(now_s)
+        placed = self._cell.placed
+        if placed is None:
+            raise CommandRefused("there is no object to put mass on")
+        old, item = placed.body, replace(placed.item, mass_kg=placed.item.mass_kg + mass_kg)
+        body = replace(old, mass_kg=old.mass_kg + mass_kg, inertia_kg_m2=old.inertia_kg_m2 + mass_kg * old.lever_m**2)
+        placed = replace(placed, item=item, body=body, needed_n=needed_force_n(item, placed.scenario.gel))
+        self._put(replace(self._cell, placed=placed))
 
     def clear(self, now_s: float) -> None:
         """Remove the object, if any; the jaws stay as they are."""

@@ -126,7 +126,7 @@ def test_translational_slip_shows_in_the_images_and_tightening_stops_it() -> Non
     assert world.view("left", now_s + 5.0).y_mm == pytest.approx(-end.slip_mm)
 
 
-def test_a_jerk_beyond_friction_drops_it() -> None:
+def test_a_jerk_beyond_friction_makes_it_slide_and_more_weight_lets_it_fall() -> None:
     world = World(
         replace(WorldSettings(), arm=replace(WorldSettings().arm, acceleration_mm_s2=20_000.0)),
         lookup=lambda name: bar(mass_kg=2.0, lever_mm=0.0, friction=0.4),
@@ -136,7 +136,11 @@ def test_a_jerk_beyond_friction_drops_it() -> None:
     world.command_lift(T0 + 1.5, 10.0, 10.0)
     assert follow(world, T0 + 1.5, 2.0)[-1].dropped is None
     world.command_lift(T0 + 4.0, 200.0, 250.0)
-    assert follow(world, T0 + 4.0, 1.0)[-1].dropped == "f_t >= mu N"
+    jerked = follow(world, T0 + 4.0, 1.0)[-1]
+    assert jerked.dropped is None
+    assert 0.1 < jerked.slip_mm < 12.0
+    world.add_mass(T0 + 5.0, 1.0)
+    assert follow(world, T0 + 5.0, 1.0)[-1].dropped == "contact lost"
 
 
 def test_opening_in_the_air_is_a_drop_and_on_the_table_is_not() -> None:
