@@ -122,7 +122,7 @@ def fit_perception_errors(
     """Measure the pipeline's errors for each test object and print the error model of `slipguard bench --grip`.
 
     Run it again when the network or an estimator has changed. The table belongs into
-    `slipguard/bench/grip/perception_model.py`.
+    `slipguard/bench/grip/perception_models.py`.
 
     Example: `python -m tests.campaigns fit-perception-errors`
     """

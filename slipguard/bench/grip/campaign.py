@@ -1,116 +1,136 @@
-"""The campaign: every trial with every controller, some also with rendered frames, and stable holds.
-
-Further blocks of trials: the support is removed at once; the needed force is close to the force limit, so that one
-step is not enough; and the same with the small force limit of a fragile object.
-"""
+"""The campaign: every scenario with every controller, some also with rendered frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
-from slipguard.bench.grip.stable_holds import HoldOutcome, StableHold, holds, run_hold
-from slipguard.bench.grip.trial_run import CONTROLLER_NAMES, ControllerName, TrialOutcome, run_trial
-from slipguard.bench.grip.trials import Block, Event, GripTrial, trials
+from slipguard.bench.grip.lift_run import CONSTANTS, GripOutcome, PlantName, constant_n, run_lift
+from slipguard.bench.grip.scenarios import FIRST_TEST_SEED, GripScenario, scenarios
 from slipguard.tools.parallel import Workers, each
 
-QUICK_TRIALS, FULL_TRIALS = 32, None
-QUICK_RENDERED, FULL_RENDERED = 20, 100
-QUICK_GONE, FULL_GONE = 12, 144
-"""Trials in which the support is removed."""
-QUICK_TIGHT, FULL_TIGHT = 8, 144
-"""Trials with a high needed force, and as many with fragile objects."""
-QUICK_MINUTES, FULL_MINUTES = 3.0, 60.0
-HOLD_S = 60.0
-QUICK_RENDERED_HOLDS, FULL_RENDERED_HOLDS = 1, 6
-QUICK_RENDERED_HOLD_S, FULL_RENDERED_HOLD_S = 4.0, 30.0
-SUPPORT_GONE_NUMBERS = 5_000
+QUICK_SCENARIOS, FULL_SCENARIOS = 36, 180
+QUICK_RENDERED, FULL_RENDERED = 4, 40
+"""Scenarios that also run with rendered frames and the shipped pipeline."""
+QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
+"""Duration of the hold after the lift of a firm grasp."""
+BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), "proportional steps", "fixed step")
+BOUND = "clairvoyant"
+REACTING = ("slipguard", "proportional steps", "fixed step")
+ANSWERABLE_DEG, ANSWERABLE_MM = 2.5, 2.5
+"""If the clairvoyant bound slips further, the load arrives faster than the gripper tightens."""
+NO_SLIP, CERTAIN = 0.05, 1.25
+"""A constant that holds without slip at this multiple of the needed force holds at any larger one: it is not run."""
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
-    """Trials and holds to run."""
+    """What to run."""
 
-    trials: tuple[GripTrial, ...]
-    gone: tuple[GripTrial, ...]
-    tight: tuple[GripTrial, ...]
-    holds: tuple[StableHold, ...]
+    scenarios: tuple[GripScenario, ...]
+    rendered: int
+    hold_s: float
+    seed: int
+    plant: PlantName
 
     @classmethod
-    def of(cls, *, quick: bool, seed: int = 0) -> CampaignPlan:
-        """Return the quick plan or the full one. Equal seeds give equal plans."""
-        lifted = trials(QUICK_TRIALS if quick else FULL_TRIALS, QUICK_RENDERED if quick else FULL_RENDERED, seed)
-        dropped = [
-            replace(trial, event="support gone", number=SUPPORT_GONE_NUMBERS + trial.number)
-            for trial in trials(QUICK_GONE if quick else FULL_GONE, 0, seed + 1)
-        ]
-        count = QUICK_TIGHT if quick else FULL_TIGHT
-        tight = [*trials(count, 0, seed + 2, "high need"), *trials(count, 0, seed + 3, "fragile")]
-        held = holds(QUICK_MINUTES if quick else FULL_MINUTES, seed, HOLD_S)
-        drawn, each_s = QUICK_RENDERED_HOLDS, QUICK_RENDERED_HOLD_S
-        if not quick:
-            drawn, each_s = FULL_RENDERED_HOLDS, FULL_RENDERED_HOLD_S
-        seen = holds(drawn * each_s / 60.0, seed, each_s, rendered=True) if drawn else []
-        return cls(tuple(lifted), tuple(dropped), tuple(tight), (*held, *seen))
+    def of(cls, *, quick: bool, seed: int = 0, plant: PlantName = "own") -> CampaignPlan:
+        """Return the quick plan or the full one. Equal seeds give equal scenarios on both plants."""
+        if quick:
+            return cls(tuple(scenarios(QUICK_SCENARIOS, seed)), QUICK_RENDERED, QUICK_HOLD_S, seed, plant)
+        return cls(tuple(scenarios(FULL_SCENARIOS, seed)), FULL_RENDERED, FULL_HOLD_S, seed, plant)
 
     @property
-    def rendered(self) -> int:
-        """Number of trials with rendered frames and the shipped pipeline."""
-        return sum(trial.rendered for trial in self.trials)
+    def seed_set(self) -> str:
+        """Whether controllers may be tuned on these scenarios ("tuning") or not ("test")."""
+        return "test" if self.seed >= FIRST_TEST_SEED else "tuning"
 
 
 @dataclass(frozen=True, slots=True)
-class TrialOutcomes:
-    """Outcomes of one trial by controller, with the error model; and of slipguard with rendered frames."""
+class ScenarioResult:
+    """Outcomes of one scenario by controller; rendered: slipguard's with rendered frames."""
 
-    trial: GripTrial
-    outcomes: dict[ControllerName, TrialOutcome]
-    rendered: TrialOutcome | None = None
+    scenario: GripScenario
+    outcomes: dict[str, GripOutcome]
+    rendered: GripOutcome | None = None
 
     @property
-    def slipguard(self) -> TrialOutcome:
-        """slipguard's outcome, with rendered frames if there is one."""
-        return self.outcomes["slipguard"] if self.rendered is None else self.rendered
+    def slipguard(self) -> GripOutcome:
+        return self.outcomes["slipguard"]
+
+    @property
+    def holdable(self) -> bool:
+        """Whether the clairvoyant bound holds the object."""
+        return self.outcomes[BOUND].dropped is None
+
+    @property
+    def answerable(self) -> bool:
+        """Whether the actuator is fast enough to keep the slip small: the clairvoyant bound does."""
+        bound = self.outcomes[BOUND]
+        return bound.slip_deg <= ANSWERABLE_DEG and bound.slide_mm <= ANSWERABLE_MM
 
 
 @dataclass(frozen=True, slots=True)
 class GripCampaignResult:
-    """Results of all trials and holds."""
+    """Results of all scenarios."""
 
-    trials: tuple[TrialOutcomes, ...]
-    gone: tuple[TrialOutcomes, ...]
-    high_need: tuple[TrialOutcomes, ...]
-    fragile: tuple[TrialOutcomes, ...]
-    holds: tuple[HoldOutcome, ...]
+    plan: CampaignPlan
+    results: tuple[ScenarioResult, ...]
+
+    @property
+    def weak(self) -> list[ScenarioResult]:
+        """Lifts with a first grip that is too weak, as far as the actuator can answer."""
+        return [one for one in self.results if one.scenario.weak and one.answerable]
+
+    @property
+    def beyond_actuator(self) -> list[ScenarioResult]:
+        """Weak lifts in which load arrives faster than the gripper tightens, whatever the controller does."""
+        return [one for one in self.results if one.scenario.weak and not one.answerable]
+
+    @property
+    def firm(self) -> list[ScenarioResult]:
+        return [one for one in self.results if one.scenario.firm]
 
 
 def run(
     plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] = lambda share: None
 ) -> GripCampaignResult:
     """Run everything; progress(share done) is called repeatedly."""
-    everything: list[GripTrial | StableHold] = [*plan.trials, *plan.gone, *plan.tight, *plan.holds]
-    items = sorted(everything, key=lambda item: not item.rendered)  # slow ones first
-    results = list(each(_run_item, items, workers, named=_describe, progress=lambda done: progress(done / len(items))))
-    played = sorted((one for one in results if isinstance(one, TrialOutcomes)), key=lambda one: one.trial.number)
-
-    def block(name: Block, event: Event = "lifted") -> tuple[TrialOutcomes, ...]:
-        return tuple(one for one in played if one.trial.block == name and one.trial.event == event)
-
-    return GripCampaignResult(
-        trials=block("matrix"),
-        gone=block("matrix", "support gone"),
-        high_need=block("high need"),
-        fragile=block("fragile"),
-        holds=tuple(one for one in results if isinstance(one, HoldOutcome)),
-    )
+    every = max(len(plan.scenarios) // max(plan.rendered, 1), 1)
+    drawn = {one.number for one in plan.scenarios[::every]} if plan.rendered else set()
+    work = partial(run_scenario, plant=plan.plant, hold_s=plan.hold_s)
+    items = sorted(((one, one.number in drawn) for one in plan.scenarios), key=lambda item: not item[1])
+    count = len(items)
+    results = each(work, items, workers, named=lambda item: item[0].name, progress=lambda done: progress(done / count))
+    return GripCampaignResult(plan, tuple(sorted(results, key=lambda one: one.scenario.number)))
 
 
-def _run_item(item: GripTrial | StableHold) -> TrialOutcomes | HoldOutcome:
-    if isinstance(item, StableHold):
-        return run_hold(item)
-    outcomes = {who: run_trial(item, who) for who in CONTROLLER_NAMES}
-    return TrialOutcomes(item, outcomes, run_trial(item, "slipguard", rendered=True) if item.rendered else None)
+def run_scenario(item: tuple[GripScenario, bool], plant: PlantName, hold_s: float) -> ScenarioResult:
+    """Run a scenario with every controller that matters for it; item: the scenario, and whether frames are rendered."""
+    scenario, rendered = item
+    outcomes: dict[str, GripOutcome] = {BOUND: run_lift(scenario, BOUND, plant)}
+    held_s = hold_s if scenario.firm else 0.0
+    outcomes |= {name: run_lift(scenario, name, plant, hold_s=held_s) for name in REACTING}
+    if scenario.weak:
+        outcomes["no guard"] = run_lift(scenario, "no guard", plant)
+        outcomes |= _constants(scenario, plant)
+    seen = run_lift(scenario, "slipguard", plant, rendered=True) if rendered else None
+    return ScenarioResult(scenario, outcomes, seen)
 
 
-def _describe(item: GripTrial | StableHold) -> str:
-    return item.trial.name if isinstance(item, StableHold) else item.name
+def _constants(scenario: GripScenario, plant: PlantName) -> dict[str, GripOutcome]:
+    """Return the outcomes of all constant forces."""
+    outcomes: dict[str, GripOutcome] = {}
+    certain: GripOutcome | None = None
+    for share in CONSTANTS:
+        name = f"constant {share:.2f}"
+        if certain is None:
+            outcome = outcomes[name] = run_lift(scenario, name, plant)
+            slips = max(outcome.slip_deg, outcome.slide_mm) > NO_SLIP
+            certain = outcome if not slips and outcome.force_over_needed > CERTAIN else None
+        else:
+            gripper = scenario.pose.gripper
+            force_n = gripper.gain * gripper.quantized_force_n(constant_n(name, scenario))
+            outcomes[name] = replace(certain, controller=name, force_n=force_n)
+    return outcomes

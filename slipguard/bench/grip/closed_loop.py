@@ -62,6 +62,7 @@ class ClosedLoop:
         trip_s: Delay of commands.
         now_s: The world's clock.
         exposing: Whether the cameras expose.
+        gripper_limits_n: Weakest and strongest grip, as the driver reports them.
         outage: Returns whether the frames of a finger are lost at a time.
         outputs: All with a command or message, with their times.
         messages: Messages of the controller, with their times.
@@ -76,6 +77,7 @@ class ClosedLoop:
     trip_s: float = 0.0
     now_s: float = 100.0
     exposing: bool = True
+    gripper_limits_n: tuple[float, float] = (20.0, 235.0)
     outage: Callable[[str, float], bool] = lambda finger, now_s: False
     outputs: list[tuple[float, StepOutput]] = field(default_factory=list)
     messages: list[str] = field(default_factory=list)
@@ -167,6 +169,7 @@ class ClosedLoop:
             gripper=self.world.gripper_state(self.now_s),
             arm=self.world.arm_state(self.now_s),
             request=request,
+            gripper_limits_n=self.gripper_limits_n,
         )
         self._apply(self.controller.decide(observation))
 

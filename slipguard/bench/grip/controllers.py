@@ -1,7 +1,8 @@
-"""The controllers that are compared: slipguard's, no guard, a fixed step, and an oracle that knows the truth."""
+"""The controllers that are compared: slipguard's, the baselines, and a bound that knows load and friction."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from slipguard.control.control_step import ControlState, control_step
@@ -9,15 +10,17 @@ from slipguard.control.messages import HoldForce, LiftArm, Observation, RequestK
 from slipguard.control.params import GuardParams
 from slipguard.sim.world import WorldTruth
 
-STEP = 1.10
-STEP_ABOVE_DEG = 5.0
+FIXED_STEP = 1.10
+FIXED_STEP_ABOVE_DEG = 5.0
 """The fixed step increases the force by 10 % at each frame with a rotation above this."""
-ORACLE_ABOVE_DEG = 0.1
-"""From this slip on the oracle tightens."""
-ORACLE_TIMES = 1.5
+PROPORTIONAL_N_DEG, PROPORTIONAL_N_MM = 5.0, 10.0
+PROPORTIONAL_DEG, PROPORTIONAL_MM = 2.0, 1.0
+"""The proportional steps add this force for each degree and mm since the last step, once one of these is passed."""
 SETTLED_DEG, SETTLE_S = 1.0, 0.3
-"""A stopped arm continues after a rotation below this for this time, as with slipguard's controller."""
+"""A stopped arm continues after a rotation below this for this time."""
 REACHED_MM = 0.5
+SLOW_MM, SLOW_MM_S = 15.0, 20.0
+"""Every lift starts slowly, as slipguard's does by default."""
 
 
 @dataclass(slots=True)
@@ -37,7 +40,7 @@ class SlipguardController:
 
 @dataclass(slots=True)
 class UnguardedController:
-    """Grips and lifts as requested. Subclasses tighten; the arm then pauses until the object has settled.
+    """Grips and lifts as requested, the first part slowly as slipguard does. Subclasses tighten and pause the arm.
 
     goal_mm, speed_mm_s: of the lift. still_deg: rotation since still_s.
     """
@@ -58,8 +61,13 @@ class UnguardedController:
             return StepOutput(HoldForce(self.target_n))
         if request.kind is RequestKind.LIFT and request.height_mm is not None and observation.arm is not None:
             self.goal_mm, self.speed_mm_s = observation.arm.height_mm + request.height_mm, request.speed_mm_s or 0.0
-            return StepOutput(arm=LiftArm(request.height_mm, self.speed_mm_s))
-        more_n = self.more_n(observation)
+            self.still_s = -math.inf
+            start_mm = min(request.height_mm, SLOW_MM)
+            more_n = self.more_n(observation)
+            if more_n is None:
+                return StepOutput(arm=LiftArm(start_mm, min(self.speed_mm_s, SLOW_MM_S)))
+        else:
+            more_n = self.more_n(observation)
         if more_n is not None:
             self.target_n, self.still_s = more_n, observation.now_s
             return StepOutput(HoldForce(more_n), StopArm())
@@ -70,19 +78,16 @@ class UnguardedController:
         return None
 
     def _continue_lift(self, observation: Observation) -> LiftArm | None:
-        """Return the rest of the lift if the arm has stopped early and object and gripper have settled."""
+        """Return the rest of the lift if the arm stands, and object and gripper have settled since a tightening."""
+        arm, gripper, now_s = observation.arm, observation.gripper, observation.now_s
         rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
-        moves = observation.gripper is None or observation.gripper.moving or rotation_deg is None
-        if moves or abs((rotation_deg or 0.0) - self.still_deg) > SETTLED_DEG:
-            self.still_deg, self.still_s = rotation_deg or 0.0, observation.now_s
-        if (
-            self.goal_mm is None
-            or observation.arm is None
-            or observation.arm.moving
-            or observation.now_s - self.still_s < SETTLE_S
-        ):
+        if self.still_s > -math.inf:
+            changed = rotation_deg is not None and abs(rotation_deg - self.still_deg) > SETTLED_DEG
+            if changed or gripper is None or gripper.moving:
+                self.still_deg, self.still_s = rotation_deg or self.still_deg, now_s
+        if self.goal_mm is None or arm is None or arm.moving or now_s - self.still_s < SETTLE_S:
             return None
-        rest_mm = self.goal_mm - observation.arm.height_mm
+        rest_mm = self.goal_mm - arm.height_mm
         return LiftArm(rest_mm, self.speed_mm_s) if rest_mm > REACHED_MM else None
 
 
@@ -98,30 +103,40 @@ class FixedStep(UnguardedController):
         if fused is None or fused.rotation_deg is None or fused.captured_at_s <= self.captured_s:
             return None
         self.captured_s = fused.captured_at_s
-        if abs(fused.rotation_deg) <= STEP_ABOVE_DEG or self.target_n >= self.force_max_n:
+        if abs(fused.rotation_deg) <= FIXED_STEP_ABOVE_DEG or self.target_n >= self.force_max_n:
             return None
-        return min(self.target_n * STEP, self.force_max_n)
+        return min(self.target_n * FIXED_STEP, self.force_max_n)
 
 
 @dataclass(slots=True)
-class Oracle(UnguardedController):
-    """Knows the true slip one latency later, the needed force and the gripper's gain; it needs one command.
+class ProportionalSteps(UnguardedController):
+    """Adds force in proportion to the rotation and the shift since the last step, up to `force_max_n`."""
 
-    latency_s: from exposure to the decision.
-    """
-
-    latency_s: float = 0.0
-    gain: float = 1.0
     force_max_n: float = 130.0
-    known_s: float | None = None
-    wanted_n: float = 0.0
-
-    def exposed(self, truth: WorldTruth) -> None:
-        if self.known_s is None and abs(truth.slip_deg) > ORACLE_ABOVE_DEG:
-            self.known_s = truth.time_s + self.latency_s
-            self.wanted_n = min(ORACLE_TIMES * truth.needed_force_n / self.gain, self.force_max_n)
+    answered_deg: float = 0.0
+    answered_mm: float = 0.0
 
     def more_n(self, observation: Observation) -> float | None:
-        if self.known_s is None or observation.now_s < self.known_s or self.target_n >= self.wanted_n:
+        fused, gripper = observation.fused, observation.gripper
+        if fused is None or gripper is None or gripper.moving or self.target_n >= self.force_max_n:
             return None
-        return self.wanted_n
+        deg, mm = abs(fused.rotation_deg or 0.0), abs(fused.shift_mm or 0.0)
+        more_deg, more_mm = max(deg - self.answered_deg, 0.0), max(mm - self.answered_mm, 0.0)
+        if more_deg < PROPORTIONAL_DEG and more_mm < PROPORTIONAL_MM:
+            return None
+        self.answered_deg, self.answered_mm = max(deg, self.answered_deg), max(mm, self.answered_mm)
+        more_n = PROPORTIONAL_N_DEG * more_deg + PROPORTIONAL_N_MM * more_mm
+        return min(self.target_n + more_n, self.force_max_n)
+
+
+@dataclass(slots=True)
+class Clairvoyant(UnguardedController):
+    """Commands the force that a load needs at the moment the load begins to arrive.
+
+    wanted_n: set by the bench at lift-off and at the event. It lies within the force limit.
+    """
+
+    wanted_n: float = 0.0
+
+    def more_n(self, observation: Observation) -> float | None:
+        return self.wanted_n if self.wanted_n > self.target_n else None

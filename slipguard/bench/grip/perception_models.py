@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
@@ -24,19 +25,29 @@ from slipguard.sim.sensor_unit import LightChange, random_unit
 
 REFERENCE_FRAMES = 5
 """Frames of a stable contact until the reference is taken."""
-SHIFT_NOISE_MM = 0.01
+WANDER_S = 0.3
+"""Correlation time of the slow part of the errors."""
+NOMINAL_FPS = 60.0
+SLOPE_MAX = 0.9
+"""No relative error of a shift is larger."""
 
 
 @dataclass(frozen=True, slots=True)
 class PerceptionErrors:
-    """Errors of the pipeline on one object.
+    """Errors of the pipeline on one object, standard deviations. Biases are drawn once per grasp and finger.
 
     Attributes:
-        noise_deg: Standard deviation of the noise of a frame.
-        bias_per_deg: Standard deviation of the relative error, drawn once per grasp.
-        bias_deg: Standard deviation of an offset that appears with the first degree of motion, drawn once per grasp.
+        noise_deg: Noise of a frame.
+        bias_per_deg: Relative error of the rotation.
+        bias_deg: Offset that appears with the first degree of motion.
         sigma_deg: Sigma of the estimates.
-        declined: Share of declined frames.
+        declined: Share of declined frames; declined_s: mean duration of a drop-out.
+        wander_deg: Slow error, correlated over `WANDER_S`.
+        growth_deg: Rotation that a firmer grip seems to cause, by relative growth of the indentation.
+        shift_noise_mm, shift_wander_mm: Of the shift, each axis.
+        shift_per_deg_mm: Shift that a rotation seems to cause.
+        shift_growth_mm: Shift that a firmer grip seems to cause.
+        shift_per_mm: Relative error of the shift: a long contact leaves the image.
     """
 
     noise_deg: float = 0.03
@@ -44,6 +55,14 @@ class PerceptionErrors:
     bias_deg: float = 0.05
     sigma_deg: float = 0.06
     declined: float = 0.0
+    declined_s: float = 0.1
+    wander_deg: float = 0.0
+    growth_deg: float = 0.0
+    shift_noise_mm: float = 0.01
+    shift_wander_mm: float = 0.0
+    shift_per_deg_mm: float = 0.0
+    shift_growth_mm: float = 0.0
+    shift_per_mm: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,21 +86,30 @@ class RotationOutliers:
 
 
 class ModeledFinger:
-    """One finger in one trial: the truth plus errors that were fitted to estimates of rendered grasps."""
+    """One finger in one lift: the truth plus errors that were fitted to estimates of rendered grasps."""
 
     def __init__(self, error: PerceptionErrors, rng: np.random.Generator, drift: RotationDrift | None = None) -> None:
         self._error, self._rng, self._drift = error, rng, drift or RotationDrift()
         self._off: deque[tuple[float, float]] = deque()
         self._bias_per_deg = float(rng.normal(0.0, error.bias_per_deg))
         self._bias_deg = float(rng.normal(0.0, error.bias_deg))
-        self._areas: deque[float] = deque(maxlen=REFERENCE_FRAMES)
+        self._growth_deg = float(rng.normal(0.0, error.growth_deg))
+        self._shift_per_deg_mm = rng.normal(0.0, error.shift_per_deg_mm, 2)
+        self._shift_growth_mm = rng.normal(0.0, error.shift_growth_mm, 2)
+        self._shift_per_mm = float(np.clip(rng.normal(0.0, error.shift_per_mm), -SLOPE_MAX, SLOPE_MAX))
+        self._wander = rng.normal(0.0, 1.0, 3)
+        self._wandered_s: float | None = None
+        self._declined_until_s = -math.inf
+        self._depths_mm: deque[float] = deque(maxlen=REFERENCE_FRAMES)
         self._tracker = RotationTracker()
-        self._reference: tuple[float, float, float] | None = None
+        self._reference: GelView | None = None
+        self._start_error_deg = 0.0
+        self._start_error_mm = np.zeros(2)
 
     def reset(self) -> None:
         """Take the next stable contact as the reference."""
         self._reference = None
-        self._areas.clear()
+        self._depths_mm.clear()
 
     def add_outliers(self, outliers: RotationOutliers) -> None:
         self._off = deque((time_s, outliers.deg) for time_s in outliers.times_s)
@@ -90,55 +118,119 @@ class ModeledFinger:
         contact = view.depth_mm > 0.0 and view.object_name != ""
         plain = Estimate(sequence, captured_at_s, captured_at_s, contact, 4000 if contact else 0, "model")
         if not contact:
-            self._areas.clear()
+            self._depths_mm.clear()
             return plain
-        self._areas.append(view.depth_mm)
-        noisy_deg = view.angle_deg + float(self._rng.normal(0.0, self._error.noise_deg)) + self._drift.at(captured_at_s)
-        if self._off and captured_at_s >= self._off[0][0]:
-            noisy_deg += self._off.popleft()[1]
+        self._depths_mm.append(view.depth_mm)
+        error_deg, error_mm = self._errors(captured_at_s)
         if self._reference is None:
-            if len(self._areas) < REFERENCE_FRAMES:
+            if len(self._depths_mm) < REFERENCE_FRAMES:
                 return plain
-            self._reference = (view.angle_deg, noisy_deg - view.angle_deg, view.y_mm)
+            self._reference, self._start_error_deg, self._start_error_mm = view, error_deg, error_mm
             self._tracker.start(captured_at_s)
-        start_deg, start_error_deg, start_y_mm = self._reference
-        true_deg = view.angle_deg - start_deg
-        shift_mm = (0.0, view.y_mm - start_y_mm + float(self._rng.normal(0.0, SHIFT_NOISE_MM)))
-        if self._rng.random() < self._error.declined:
-            return Estimate(
-                sequence, captured_at_s, captured_at_s, True, 4000, "model", shift_mm=shift_mm, declined="too uncertain"
-            )
-        moved = math.tanh(true_deg)
-        rotation_deg = noisy_deg - start_deg - start_error_deg + self._bias_per_deg * true_deg + self._bias_deg * moved
+        start, moved = self._reference, self._moved(view)
+        true_deg = view.angle_deg - start.angle_deg
+        shift = (1.0 + self._shift_per_mm) * np.array([view.x_mm - start.x_mm, view.y_mm - start.y_mm])
+        shift += error_mm - self._start_error_mm + self._shift_per_deg_mm * true_deg + self._shift_growth_mm * moved
+        estimate = replace(plain, shift_mm=(float(shift[0]), float(shift[1])))
+        if self._declines(captured_at_s):
+            return replace(estimate, declined="too uncertain")
+        rotation_deg = true_deg + error_deg - self._start_error_deg
+        rotation_deg += self._bias_per_deg * true_deg + self._bias_deg * math.tanh(true_deg) + self._growth_deg * moved
         rotation = self._tracker.accept(captured_at_s, RotationEstimate(rotation_deg, self._error.sigma_deg))
-        return Estimate(
-            sequence,
-            captured_at_s,
-            captured_at_s,
-            True,
-            4000,
-            "model",
+        known = rotation.rotation_deg is not None
+        return replace(
+            estimate,
             rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
-            orientation_deg=None if rotation.rotation_deg is None else 0.0,
-            rate_deg_s=None if rotation.rotation_deg is None else self._tracker.rate_deg_s(captured_at_s),
-            shift_mm=shift_mm,
+            orientation_deg=0.0 if known else None,
+            rate_deg_s=self._tracker.rate_deg_s(captured_at_s) if known else None,
             declined=rotation.declined,
         )
 
+    def _moved(self, view: GelView) -> float:
+        """Return the relative growth of the indentation since the reference."""
+        assert self._reference is not None
+        return view.depth_mm / self._reference.depth_mm - 1.0
+
+    def _errors(self, captured_at_s: float) -> tuple[float, NDArray[np.float64]]:
+        """Return noise and wander of rotation and shift in one frame."""
+        error, rng = self._error, self._rng
+        if self._wandered_s is not None:
+            keeps = math.exp(-max(captured_at_s - self._wandered_s, 0.0) / WANDER_S)
+            self._wander = keeps * self._wander + math.sqrt(1.0 - keeps * keeps) * rng.normal(0.0, 1.0, 3)
+        self._wandered_s = captured_at_s
+        noise_deg = float(rng.normal(0.0, error.noise_deg)) + error.wander_deg * float(self._wander[0])
+        noise_deg += self._drift.at(captured_at_s)
+        if self._off and captured_at_s >= self._off[0][0]:
+            noise_deg += self._off.popleft()[1]
+        return noise_deg, rng.normal(0.0, error.shift_noise_mm, 2) + error.shift_wander_mm * self._wander[1:]
+
+    def _declines(self, captured_at_s: float) -> bool:
+        error = self._error
+        if captured_at_s < self._declined_until_s:
+            return True
+        frames = max(error.declined_s * NOMINAL_FPS, 1.0)
+        share = error.declined if error.declined >= 1.0 else error.declined / frames
+        if self._rng.random() >= share:
+            return False
+        self._declined_until_s = captured_at_s + float(self._rng.exponential(error.declined_s))
+        return True
+
 
 PERCEPTION_ERRORS: dict[str, PerceptionErrors] = {
-    "bar": PerceptionErrors(0.020, 0.0042, 0.029, 0.056, 0.0000),
-    "wedge": PerceptionErrors(0.118, 0.0135, 0.210, 0.231, 0.0000),
-    "wrench": PerceptionErrors(0.015, 0.0007, 0.026, 0.038, 0.0000),
-    "knife_edge": PerceptionErrors(0.046, 0.0199, 0.326, 0.192, 0.0000),
-    "key": PerceptionErrors(0.013, 0.0013, 0.022, 0.046, 0.0000),
-    "screwdriver": PerceptionErrors(0.032, 0.0057, 0.045, 0.436, 0.0000),
-    "cap": PerceptionErrors(0.016, 0.0009, 0.010, 0.039, 0.0000),
-    "ball": PerceptionErrors(0.067, 0.0185, 0.145, 0.253, 0.0000),
-    "hook": PerceptionErrors(0.088, 0.0447, 0.320, 0.300, 0.0000),
+    "bar": PerceptionErrors(
+        0.02206, 0.003231, 0.01416, 0.04896, 0, 0.1, 0.01365, 0.0928, 0.00115, 0.001249, 0.001488, 0.124, 0.007697
+    ),
+    "wedge": PerceptionErrors(
+        0.03752, 0.01074, 0.1101, 0.09033, 0, 0.1, 0.03532, 0.521, 0.005914, 0.006706, 0.02797, 0.8667, 0.1405
+    ),
+    "wrench": PerceptionErrors(
+        0.01051, 0.001674, 0.009855, 0.03876, 0, 0.1, 0.008281, 0.3053, 0.001383, 0.0011, 0.01173, 0.04693, 0.001798
+    ),
+    "knife_edge": PerceptionErrors(
+        0.009098, 0.02008, 0.09285, 0.04772, 0, 0.1, 0.009407, 1.152, 0.002437, 0.004298, 0.00988, 1.241, 0.0176
+    ),
+    "key": PerceptionErrors(
+        0.005057,
+        0.0007238,
+        0.006394,
+        0.03435,
+        0,
+        0.1,
+        0.003804,
+        0.04536,
+        0.0005832,
+        0.0005123,
+        0.0252,
+        0.01564,
+        0.002603,
+    ),
+    "screwdriver": PerceptionErrors(
+        0.03473, 0.00367, 0.01284, 0.07853, 0, 0.1, 0.1035, 0.708, 0.03231, 0.0644, 0.03275, 0.8562, 0.542
+    ),
+    "cap": PerceptionErrors(
+        0.00566, 0.003076, 0.0337, 0.03705, 0, 0.1, 0.004306, 0.0394, 0.0004128, 0.000357, 0.00106, 0.005058, 0.0004981
+    ),
+    "ball": PerceptionErrors(
+        0.02932, 0.01092, 0.04572, 0.1255, 0, 0.1, 0.0225, 0.72, 0.0007706, 0.0006354, 0.0008367, 0.01961, 0.001208
+    ),
+    "hook": PerceptionErrors(
+        0.02444,
+        0.0121,
+        0.0247,
+        0.07376,
+        0.0005992,
+        0.01667,
+        0.03399,
+        1.772,
+        0.001341,
+        0.001476,
+        0.01486,
+        0.1539,
+        0.009321,
+    ),
 }
-"""noise_deg, bias_per_deg, bias_deg, sigma_deg, declined."""
+"""In the order of the fields; from `python -m tests.campaigns fit-perception-errors`."""
 
 
 LIGHT_LEVELS_S = 0.3

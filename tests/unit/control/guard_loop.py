@@ -10,7 +10,7 @@ from records import changed
 from slipguard.bench.grip.closed_loop import FINGERS, STEP_S, ClosedLoop
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
-from slipguard.bench.grip.trials import scaled
+from slipguard.bench.grip.scenarios import scaled
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import ControlRequest, RequestKind, StepOutput
 from slipguard.control.params import GuardParams

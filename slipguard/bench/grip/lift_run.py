@@ -1,0 +1,337 @@
+"""Run of one scenario with one controller on one plant: grip, lift, let the load arrive, hold, and measure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel
+from slipguard.bench.grip.controllers import (
+    REACHED_MM,
+    Clairvoyant,
+    FixedStep,
+    ProportionalSteps,
+    SlipguardController,
+    UnguardedController,
+)
+from slipguard.bench.grip.perception_models import PERCEPTION_ERRORS, ModeledFinger, RenderedFinger, RotationDrift
+from slipguard.bench.grip.scenarios import LIFT_MM, PERCEIVING_S, ROOM_MM, GripScenario
+from slipguard.control.messages import ControlRequest, RequestKind
+from slipguard.control.params import GuardParams
+from slipguard.limit_surface import GRAVITY_M_S2
+from slipguard.sim import object_motion
+from slipguard.sim.mujoco_plant import MujocoPlant
+from slipguard.sim.world import World, WorldSettings, WorldTruth
+
+PlantName = Literal["own", "mujoco"]
+CONSTANTS = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+"""Constant forces, relative to the force limit; at least what the gripper's weakest grip is."""
+BOUND_MARGIN = 1.02
+"""The clairvoyant bound grips with this much more than the needed force."""
+START_S = 100.0
+STEP_S = 2e-3
+CLOSING_MAX_S = 6.0
+QUIET_S = 0.7
+LIFT_MAX_S, EVENT_MAX_S = 8.0, 6.0
+PAUSE_S = 0.5
+"""The object rests this long between lift and event."""
+STILL_DEG_S, STILL_MM_S, STILL_S = 0.5, 0.5, 0.6
+SLIPPED_DEG = 0.05
+DROPPED_DEG, DROPPED_MM = 60.0, 12.0
+"""The slip of a dropped object."""
+HOLD_MM_S = (30.0, 250.0)
+SHAKE_HZ, SHAKE_MM = 12.0, 0.5
+TAP_SHARE, TAP_S = 0.06, (0.1, 0.4)
+"""Additional load by a tap, relative to the weight."""
+DRIFT_DEG, DRIFT_S = 0.15, (20.0, 60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class GripOutcome:
+    """Result of one run.
+
+    Attributes:
+        slip_deg, slide_mm: True slip at the end, without elastic torsion and shear; of a dropped object at least
+            `DROPPED_DEG` and `DROPPED_MM`.
+        force_n: Largest true force.
+        arrested_s: Time from the first slip to the last; None without slip.
+        tightenings: Forces commanded from lift-off until rest; held: those of the hold afterwards.
+        early: Whether it tightened before any slip.
+        up: Whether the lift reached its height.
+    """
+
+    controller: str
+    slip_deg: float
+    slide_mm: float
+    force_n: float
+    needed_n: float
+    arrested_s: float | None
+    tightenings: int
+    held: int
+    early: bool
+    dropped: str | None
+    fault: str | None
+    up: bool
+    messages: tuple[str, ...] = ()
+    trace: list[WorldTruth] | None = None
+
+    @property
+    def force_over_needed(self) -> float:
+        return self.force_n / self.needed_n
+
+
+def run_lift(
+    scenario: GripScenario,
+    controller: str,
+    plant: PlantName = "own",
+    *,
+    hold_s: float = 0.0,
+    rendered: bool = False,
+    traced: bool = False,
+    params: GuardParams | None = None,
+) -> GripOutcome:
+    """Run a scenario; equal arguments give equal outcomes.
+
+    Args:
+        controller: "slipguard", "no guard", "proportional steps", "fixed step", "clairvoyant", or "constant 0.30".
+        hold_s: Duration of taps, shaking and arm motions after the event.
+        rendered: With rendered frames and the shipped pipeline instead of the error model.
+    """
+    params = guard_params(params or GuardParams(), scenario)
+    rng = np.random.default_rng([scenario.seed, scenario.number, 17])
+    gripper = scenario.pose.gripper
+    loop = ClosedLoop(
+        _world(scenario, plant),
+        _controller(controller, params),
+        _fingers(scenario, rng, drifts=hold_s > 0.0, rendered=rendered),
+        np.random.default_rng([scenario.seed, scenario.number, 9]),
+        PERCEIVING_S,
+        gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
+    )
+    run = _Run(scenario, loop)
+    run.grip(constant_n(controller, scenario))
+    run.lift()
+    run.event()
+    if hold_s > 0.0:
+        run.hold(rng, hold_s)
+    return run.outcome(controller, traced)
+
+
+def constant_n(controller: str, scenario: GripScenario) -> float:
+    """Return the force of the first grip as commanded: the scenario's, or that of a constant."""
+    if not controller.startswith("constant "):
+        return scenario.first_n
+    gripper = scenario.pose.gripper
+    return max(float(controller.removeprefix("constant ")) * scenario.force_max_n, gripper.force_min_n)
+
+
+def guard_params(params: GuardParams, scenario: GripScenario) -> GuardParams:
+    """Return the parameters with the scenario's force limit."""
+    limit_n = scenario.force_max_n
+    changed = {
+        "force_max_n": limit_n,
+        "first_force_n": min(params.first_force_n, limit_n),
+        "no_estimate_force_n": min(params.no_estimate_force_n, limit_n),
+    }
+    return GuardParams.model_validate(params.model_dump() | changed)
+
+
+def _world(scenario: GripScenario, plant: PlantName) -> World:
+    item = scenario.item
+    world = World(
+        WorldSettings(step_s=STEP_S, start_width_mm=item.width_mm + ROOM_MM),
+        seed=scenario.number,
+        lookup=lambda name: item,
+        mechanics=MujocoPlant() if plant == "mujoco" else object_motion.advance,
+    )
+    world.place(scenario.pose, START_S)
+    return world
+
+
+def _controller(name: str, params: GuardParams) -> SlipguardController | UnguardedController:
+    if name == "slipguard":
+        return SlipguardController(params)
+    if name == "proportional steps":
+        return ProportionalSteps(force_max_n=params.force_max_n)
+    if name == "fixed step":
+        return FixedStep(force_max_n=params.force_max_n)
+    return Clairvoyant() if name == "clairvoyant" else UnguardedController()
+
+
+def _fingers(
+    scenario: GripScenario, rng: np.random.Generator, *, drifts: bool, rendered: bool
+) -> dict[str, FingerModel]:
+    if rendered:
+        cameras = (scenario.pose.left, scenario.pose.right)
+        return {f: RenderedFinger(2 * scenario.number + k, cameras[k]) for k, f in enumerate(FINGERS)}
+    error = PERCEPTION_ERRORS[scenario.pose.object_name]
+    phase, period_s = float(rng.uniform(0.0, 2.0 * math.pi)), float(rng.uniform(*DRIFT_S))
+    drift = RotationDrift(DRIFT_DEG if drifts else 0.0, period_s, phase)
+    seeds = [[scenario.seed, scenario.number, k] for k in range(len(FINGERS))]
+    return {f: ModeledFinger(error, np.random.default_rng(seeds[k]), drift) for k, f in enumerate(FINGERS)}
+
+
+class _Run:
+    """The course of one run."""
+
+    def __init__(self, scenario: GripScenario, loop: ClosedLoop) -> None:
+        self._scenario, self._loop = scenario, loop
+        self._begun_s = self._held_s = math.inf
+        controller = loop.controller
+        self._watches = not isinstance(controller, UnguardedController) or type(controller) is not UnguardedController
+
+    def grip(self, force_n: float) -> None:
+        """Close the jaws until the grip is firm; the cameras expose from then on."""
+        loop = self._loop
+        loop.exposing = False
+        loop.ask(ControlRequest(RequestKind.GRASP, force_n=force_n))
+
+        def firm() -> bool:
+            state = loop.world.gripper_state(loop.now_s)
+            return state.holding and not state.moving
+
+        assert loop.until(firm, CLOSING_MAX_S), "the jaws did not close"
+        loop.exposing = self._watches
+        loop.wait(QUIET_S + self._scenario.pose.left.latency_s + 6.0 / self._scenario.pose.left.fps)
+
+    def lift(self) -> None:
+        """Lift the object, unless its support is removed instead."""
+        scenario, loop = self._scenario, self._loop
+        self._begun_s = loop.now_s
+        if scenario.outage is not None:
+            finger, from_s, lasts_s = scenario.outage
+            from_s += loop.now_s
+            loop.outage = lambda name, now_s: name == finger and from_s <= now_s < from_s + lasts_s
+        if scenario.event == "support gone":
+            return
+        self._known(scenario.base_needed_n)
+        loop.ask(ControlRequest(RequestKind.LIFT, height_mm=LIFT_MM, speed_mm_s=scenario.lift_speed_mm_s))
+        self._rest(LIFT_MAX_S + 2.0 * LIFT_MM / scenario.lift_speed_mm_s, LIFT_MM - REACHED_MM)
+
+    def event(self) -> None:
+        """Let the rest of the load arrive."""
+        scenario, loop = self._scenario, self._loop
+        world, from_s, onset_s = loop.world, loop.now_s, scenario.onset_s
+        if scenario.event == "lift" or loop.truth().dropped is not None:
+            return
+        if scenario.event == "support gone":
+            self._known(scenario.needed_n)
+            world.take_table(from_s)
+        else:
+            loop.wait(PAUSE_S)
+            from_s = loop.now_s
+            self._known(scenario.needed_n)
+            later_kg = (1.0 - scenario.base_share) * scenario.mass_kg
+            if scenario.event == "mass added":
+                world.add_mass(from_s, later_kg)
+            elif scenario.event == "contact":
+                push_n, lever_m = later_kg * GRAVITY_M_S2, 1e-3 * scenario.lever_mm
+                world.push(from_s, lambda now_s: _pushed(push_n, lever_m, (now_s - from_s) / onset_s))
+            else:
+                peak_m_s2 = GRAVITY_M_S2 * (1.0 / scenario.base_share - 1.0)
+                world.shake(from_s, lambda now_s: peak_m_s2 * _pulse((now_s - from_s) / onset_s))
+        loop.wait(onset_s if scenario.event in ("contact", "acceleration") else 0.0)
+        self._rest(EVENT_MAX_S, 0.0)
+        if scenario.event == "acceleration":
+            world.shake(loop.now_s, None)
+
+    def hold(self, rng: np.random.Generator, seconds: float) -> None:
+        """Tap, shake and move the held object."""
+        loop = self._loop
+        world, until_s = loop.world, loop.now_s + seconds
+        self._held_s = loop.now_s
+        world.shake(loop.now_s, _disturbance(rng, loop.now_s, seconds))
+        while loop.now_s < until_s and loop.truth().dropped is None:
+            height_mm = world.arm_state(loop.now_s).height_mm
+            way_mm = float(rng.uniform(10.0, 60.0)) * (1.0 if height_mm < LIFT_MM + 50.0 else -1.0)
+            world.command_lift(loop.now_s, way_mm, math.exp(rng.uniform(*np.log(HOLD_MM_S))))
+            loop.wait(float(rng.uniform(0.1, 0.4)))
+            if rng.random() < 0.5:
+                world.command_stop(loop.now_s)
+            loop.wait(float(rng.uniform(0.5, 1.5)))
+
+    def _known(self, needed_n: float) -> None:
+        """Give the clairvoyant bound the force of the load that arrives now."""
+        controller, gripper = self._loop.controller, self._scenario.pose.gripper
+        if isinstance(controller, Clairvoyant):
+            controller.wanted_n = min(BOUND_MARGIN * needed_n / gripper.gain, self._scenario.force_max_n)
+
+    def _rest(self, limit_s: float, height_mm: float) -> None:
+        """Run until the object rests at this height, is dropped, or the time is over."""
+        loop, still_s = self._loop, [self._loop.now_s]
+        quiet_s = STILL_S + self._scenario.pose.left.latency_s
+
+        def over() -> bool:
+            truth = loop.truth()
+            if truth.dropped is not None:
+                return True
+            moves = abs(truth.rate_deg_s) > STILL_DEG_S or abs(truth.slip_rate_mm_s) > STILL_MM_S
+            if moves or truth.height_mm < height_mm or loop.world.gripper_state(loop.now_s).moving:
+                still_s[0] = loop.now_s
+            return loop.now_s - still_s[0] > quiet_s
+
+        loop.until(over, limit_s)
+
+    def outcome(self, controller: str, traced: bool) -> GripOutcome:
+        loop, scenario = self._loop, self._scenario
+        truth, trace = loop.truth(), loop.trace
+        times = np.array([now.time_s for now in trace])
+        slips = np.hypot([now.slip_deg for now in trace], [now.slip_mm - now.elastic_mm for now in trace])
+        final = math.hypot(truth.slip_deg, truth.slip_mm - truth.elastic_mm)
+        first_slip_s = float(times[slips > SLIPPED_DEG][0]) if (slips > SLIPPED_DEG).any() else None
+        moved = times[(slips > SLIPPED_DEG) & (slips < final - SLIPPED_DEG)]
+        arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
+        commanded_s = [at_s for at_s, output in loop.outputs if output.hold_force_n is not None]
+        tightened_s = [at_s for at_s in commanded_s if at_s >= self._begun_s]
+        grasp = loop.controller.state.grasp if isinstance(loop.controller, SlipguardController) else None
+        lost = truth.dropped is not None
+        return GripOutcome(
+            controller=controller,
+            slip_deg=max(abs(truth.slip_deg), DROPPED_DEG if lost else 0.0),
+            slide_mm=max(abs(truth.slip_mm - truth.elastic_mm), DROPPED_MM if lost else 0.0),
+            force_n=max(now.force_n for now in trace),
+            needed_n=scenario.needed_n,
+            arrested_s=arrested_s,
+            tightenings=sum(at_s < self._held_s for at_s in tightened_s),
+            held=sum(at_s >= self._held_s for at_s in tightened_s),
+            early=bool(tightened_s and (first_slip_s is None or tightened_s[0] < first_slip_s)),
+            dropped=truth.dropped,
+            fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
+            up=scenario.event == "support gone" or truth.height_mm >= LIFT_MM - REACHED_MM or self._held_s < math.inf,
+            messages=tuple(loop.messages),
+            trace=trace if traced else None,
+        )
+
+
+def _pushed(force_n: float, lever_m: float, part: float) -> tuple[float, float]:
+    """Return force and torque of a contact after this part of its onset; it stays."""
+    part = min(max(part, 0.0), 1.0)
+    return part * force_n, part * force_n * lever_m
+
+
+def _pulse(part: float) -> float:
+    """Return a smooth pulse over three onsets, with the peak in the middle one."""
+    return max(min(part, 1.0, 3.0 - part), 0.0)
+
+
+def _disturbance(rng: np.random.Generator, from_s: float, seconds: float) -> Callable[[float], float]:
+    """Return the acceleration over time, upwards: shaking in the first half of the time, and taps."""
+    rate = 2.0 * math.pi * SHAKE_HZ
+    peak_m_s2 = 1e-3 * SHAKE_MM * rate * rate
+    taps = [
+        (from_s + float(rng.uniform(0.0, seconds)), float(rng.uniform(*TAP_S)), float(rng.choice((-1.0, 1.0))))
+        for _ in range(max(round(seconds / 3.0), 1))
+    ]
+
+    def acceleration(now_s: float) -> float:
+        value = peak_m_s2 * math.sin(rate * (now_s - from_s)) if now_s < from_s + 0.5 * seconds else 0.0
+        for at_s, lasts_s, side in taps:
+            if at_s <= now_s < at_s + lasts_s:
+                value += side * TAP_SHARE * GRAVITY_M_S2 * math.sin(math.pi * (now_s - at_s) / lasts_s)
+        return value
+
+    return acceleration

@@ -1,0 +1,55 @@
+"""`slipguard bench --grip` as a command: JSON, files, exit code."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import typer
+
+from slipguard.bench.grip import campaign, json_figures
+from slipguard.cli.bench import bench_grip
+from slipguard.errors import InputError
+from slipguard.tools.parallel import Workers
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign, "QUICK_SCENARIOS", 3)
+    monkeypatch.setattr(campaign, "QUICK_RENDERED", 1)
+    monkeypatch.setattr(campaign, "QUICK_HOLD_S", 0.5)
+
+
+@pytest.mark.campaign
+def test_the_command_writes_json_and_plot(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(json_figures, "failures", lambda found: [])  # there are too few scenarios for the limits
+    bench_grip(quick=True, seed=1000, plant="own", json=True, out=tmp_path, workers=Workers(jobs=1))
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
+    assert (found["scenarios"], found["rendered"], found["seed_set"]) == (3, 1, "test")
+    assert [check["key"] for check in found["promised"]] == [limit.key for limit in json_figures.LIMITS]
+    assert "test seed 1000" in printed.err
+    kept = json.loads((tmp_path / "grip.json").read_text())
+    assert {key: kept[key] for key in found} == found
+    assert len(kept["trials"]) == 3
+    assert (tmp_path / "grip.png").stat().st_size > 10_000
+
+
+@pytest.mark.campaign
+def test_the_command_fails_if_a_limit_is_exceeded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(json_figures, "failures", lambda found: ["limit exceeded: something"])
+    with pytest.raises(typer.Exit):
+        bench_grip(quick=True, seed=0, plant="own", json=False, out=None, workers=Workers(jobs=1))
+    printed = capsys.readouterr()
+    assert "limit exceeded: something" in printed.err
+    assert "limits" in printed.out
+
+
+def test_an_unknown_plant_is_refused() -> None:
+    with pytest.raises(InputError, match="must be own or mujoco"):
+        bench_grip(quick=True, seed=0, plant="bullet", json=True, out=None, workers=Workers(jobs=1))
