@@ -17,8 +17,12 @@ from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World, WorldSettings
 from slipguard_drivers.robotiq.fake import FakeGripper
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_drivers.robotiq.registers import MODELS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import SimpleJaws
+
+WIRE_MODELS = {"wire": "2F-85", "hand-e": "Hand-E"}
+"""The emulated grippers behind the real driver, by the kind of rig."""
 
 
 class GripperRig:
@@ -98,11 +102,12 @@ class FakeGripperRig(GripperRig):
 
 
 class WireGripperRig(GripperRig):
-    """The real driver, a pseudo terminal, and an emulated 2F-85 that is activated already."""
+    """The real driver, a pseudo terminal, and an emulated gripper that is activated already."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, model: str) -> None:
         options = {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "activated": True}
-        self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options))
+        self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate({**options, "model": model}))
+        self.open_mm = MODELS[model].stroke_mm
         self.gripper = self.new_driver()
 
     async def start(self) -> None:
@@ -125,6 +130,7 @@ class WireGripperRig(GripperRig):
     def new_driver(self) -> Gripper:
         settings = RobotiqGripper.Settings(
             port=str(self.emulator.settings.link),
+            model=self.emulator.settings.model,
             approach_speed=1.0,
             timeout_ms=200.0,  # a busy machine is slow
         )
@@ -164,7 +170,7 @@ def abilities(config: pytest.Config) -> dict[str, set[str]]:
     """Return the kinds of rig, each with what it can do."""
     everything = {"object", "no object", "faults", "pressed force"}
     between = {"object"} if config.getoption("--gripper-object") else {"no object"}
-    return {"fake": everything, "wire": everything} | dict.fromkeys(
+    return dict.fromkeys(("fake", *WIRE_MODELS), everything) | dict.fromkeys(
         hardware_kinds(config, "gripper", "--gripper"), between
     )
 
@@ -177,4 +183,4 @@ def make_rig(kind: str, folder: Path, config: pytest.Config) -> GripperRig:
         return HardwareGripperRig(lambda: RobotiqGripper(settings, context))
     if kind == "driver":
         return HardwareGripperRig(lambda: named_driver(config, "gripper", context))
-    return FakeGripperRig() if kind == "fake" else WireGripperRig(folder)
+    return FakeGripperRig() if kind == "fake" else WireGripperRig(folder, WIRE_MODELS[kind])

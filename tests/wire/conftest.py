@@ -14,8 +14,9 @@ from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
 @pytest.fixture
-async def emulator(tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
-    emulator = quick(tmp_path, activated=True)
+async def emulator(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
+    """A 2F-85, or the model that is the parameter."""
+    emulator = quick(tmp_path, activated=True, model=getattr(request, "param", "2F-85"))
     await emulator.start()
     yield emulator
     await emulator.stop()

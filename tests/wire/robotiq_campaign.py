@@ -19,6 +19,7 @@ from slipguard.devices import DriverContext, GripperState
 from slipguard.emulator import Event
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_drivers.robotiq.registers import MODEL_2F85, MODEL_HAND_E, RobotiqModel
 from slipguard_emulators.robotiq.emulator import FAULTS, RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import JawsState, SimpleJaws
 from slipguard_emulators.robotiq.registers import ActivationStage
@@ -34,6 +35,8 @@ APPROACH = 0.9
 RELEASING = ContextVar("RELEASING", default=False)
 """Whether we are inside a release, in any task the driver does it."""
 OPENINGS = ("released", "activating", "rACT cleared")
+LANE_MODELS = (MODEL_2F85, MODEL_HAND_E)
+"""Every second line has the other gripper."""
 MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
 
 
@@ -78,10 +81,12 @@ class Outcome:
 class Lane:
     """One gripper on one line, with its own driver and its own chance."""
 
-    def __init__(self, folder: Path, seed: int, outcome: Outcome) -> None:
+    def __init__(self, folder: Path, seed: int, outcome: Outcome, model: RobotiqModel) -> None:
         self.outcome = outcome
+        self.model = model
         self.rng = random.Random(seed)
         options = {"link": folder / f"tty{seed}", "seed": seed, "quick": 5.0, "outage_ms": 200.0, "activated": True}
+        options["model"] = model.name
         self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options), self._on_event)
         self.gripper = self._driver()
         self.truths: list[Truth] = []
@@ -92,7 +97,8 @@ class Lane:
         self._watch_answers()
 
     def _driver(self) -> RobotiqGripper:
-        settings = RobotiqGripper.Settings(port=str(self.emulator.settings.link), approach_speed=APPROACH)
+        port, model = str(self.emulator.settings.link), self.emulator.settings.model
+        settings = RobotiqGripper.Settings(port=port, model=model, approach_speed=APPROACH)
         gripper = RobotiqGripper(settings, DriverContext("gripper"))
         write = gripper._modbus.write
 
@@ -147,6 +153,9 @@ class Lane:
         assert isinstance(self.emulator.jaws, SimpleJaws)
         return self.emulator.jaws
 
+    def _force_n(self) -> float:
+        return self.rng.uniform(self.model.force_min_n, self.model.force_max_n)
+
     def _look(self) -> JawsState:
         return self.emulator.registers.tick(asyncio.get_running_loop().time())
 
@@ -199,17 +208,17 @@ class Lane:
                 self.outcome.wrong.append(f"{state} but {said}")
 
     async def _hold(self) -> None:
-        force_n = self.rng.uniform(20.0, 235.0)
+        force_n = self._force_n()
         applied_n = await self._call(lambda: self.gripper.hold(force_n))
         if isinstance(applied_n, float) and applied_n < force_n - 1e-6:
             self.outcome.wrong.append(f"asked for {force_n} N, believes {applied_n} N")
 
     async def _move(self) -> None:
-        width_mm, force_n = self.rng.uniform(0.0, 85.0), self.rng.uniform(20.0, 235.0)
+        width_mm, force_n = self.rng.uniform(0.0, self.model.stroke_mm), self._force_n()
         await self._call(lambda: self.gripper.move(width_mm, force_n))
 
     async def _release(self) -> None:
-        width_mm = self.rng.uniform(45.0, 85.0)
+        width_mm = self.rng.uniform(0.5, 1.0) * self.model.stroke_mm
 
         async def release() -> None:
             token = RELEASING.set(True)
@@ -224,7 +233,7 @@ class Lane:
         """A caller that is cancelled in the middle of its call."""
 
         async def impatient() -> object:
-            force_n = self.rng.uniform(20.0, 235.0)
+            force_n = self._force_n()
             call = self.gripper.hold(force_n) if self.rng.random() < 0.5 else self.gripper.state()
             try:
                 return await asyncio.wait_for(call, self.rng.uniform(0.0, 0.03))
@@ -300,7 +309,8 @@ async def campaign(folder: Path, commands: int, seed: int, lanes: int = 6) -> Ou
     stalls = asyncio.create_task(watch_stalls(outcome), name="stalls")
     async with asyncio.TaskGroup() as group:
         for lane in range(lanes):
-            group.create_task(Lane(folder, seed * 100 + lane, outcome).run(each), name=f"lane {lane}")
+            one = Lane(folder, seed * 100 + lane, outcome, LANE_MODELS[lane % len(LANE_MODELS)])
+            group.create_task(one.run(each), name=f"lane {lane}")
     stalls.cancel()
     await asyncio.wait([stalls])
     return outcome

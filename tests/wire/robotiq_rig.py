@@ -1,4 +1,4 @@
-"""An emulated 2F-85 on a pty, the real driver on it, and what a test does with both."""
+"""An emulated gripper on a pty, the real driver on it, and what a test does with both."""
 
 from __future__ import annotations
 
@@ -13,10 +13,12 @@ from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import SimpleJaws
 
 OBJECT_MM = 41.2
+each_model = pytest.mark.parametrize("emulator", ["2F-85", "Hand-E"], indirect=True)
+"""Runs a test on each of these grippers."""
 
 
 def quick(folder: Path, **options: object) -> RobotiqEmulator:
-    """A 2F-85 with quick jaws on a wire that takes no time."""
+    """A 2F-85 (or another `model`) with quick jaws on a wire that takes no time."""
     return RobotiqEmulator(
         RobotiqEmulator.Settings.model_validate(
             {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "late_ms": 350.0, **options}
@@ -26,7 +28,8 @@ def quick(folder: Path, **options: object) -> RobotiqEmulator:
 
 def settings(emulator: RobotiqEmulator) -> RobotiqGripper.Settings:
     """The usual ones, but for a machine that is busy with other things."""
-    return RobotiqGripper.Settings(port=emulator.address, approach_speed=1.0, timeout_ms=300.0)
+    model = emulator.settings.model
+    return RobotiqGripper.Settings(port=emulator.address, model=model, approach_speed=1.0, timeout_ms=300.0)
 
 
 def put(emulator: RobotiqEmulator, object_mm: float | None) -> None:

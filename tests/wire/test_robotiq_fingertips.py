@@ -6,19 +6,22 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from robotiq_rig import put, quick, settings, until_it_rests
+from pydantic import ValidationError
+from robotiq_rig import each_model, put, quick, settings, until_it_rests
 
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_drivers.robotiq.registers import MODELS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 TIP_MM = 20.0
 
 
 @pytest.fixture
-async def emulator(tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
-    emulator = quick(tmp_path, activated=True, fingertip_mm=TIP_MM)
+async def emulator(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[RobotiqEmulator]:
+    model = getattr(request, "param", "2F-85")
+    emulator = quick(tmp_path, activated=True, fingertip_mm=TIP_MM, model=model)
     await emulator.start()
     yield emulator
     await emulator.stop()
@@ -46,13 +49,15 @@ async def test_without_the_setting_gel_on_gel_is_a_held_object(emulator: Robotiq
     await gripper.close()
 
 
+@each_model
 @pytest.mark.parametrize("configured_mm", [TIP_MM, TIP_MM + 0.4, TIP_MM - 0.4])
 async def test_closing_on_nothing_ends_before_the_gels_meet(emulator: RobotiqEmulator, configured_mm: float) -> None:
     gripper = await driver(emulator, configured_mm)
     assert await closed(gripper) == (False, True)
     assert emulator.state()["force_n"] == 0.0
     assert float(str(emulator.state()["width_mm"])) > 2 * TIP_MM
-    assert await gripper.move(30.0, 20.0) == pytest.approx(30.0, abs=0.2)
+    opening_mm = MODELS[emulator.settings.model].stroke_mm - 2 * configured_mm
+    assert await gripper.move(30.0, 20.0) == pytest.approx(min(30.0, opening_mm), abs=0.2)
     await gripper.close()
 
 
@@ -86,6 +91,11 @@ async def test_a_lost_object_does_not_let_the_gels_meet(emulator: RobotiqEmulato
     assert emulator.state()["force_n"] == 0.0
     assert float(str(emulator.state()["width_mm"])) > 2 * TIP_MM
     await gripper.close()
+
+
+def test_sensors_that_leave_no_opening_are_refused() -> None:
+    with pytest.raises(ValidationError, match=r"leaves no opening on a Hand-E: it must be at most 22\.5"):
+        RobotiqGripper.Settings(port="tty", model="Hand-E", fingertip_mm=25.0)
 
 
 async def test_the_doctor_says_so(emulator: RobotiqEmulator) -> None:

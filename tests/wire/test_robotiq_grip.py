@@ -6,13 +6,14 @@ import asyncio
 from pathlib import Path
 
 import pytest
-from robotiq_rig import put, quick, settings, soon_s, until, until_it_rests, words_written
+from robotiq_rig import each_model, put, quick, settings, soon_s, until, until_it_rests, words_written
 
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq import gripper as driver
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_drivers.robotiq.modbus import ModbusConnection
+from slipguard_drivers.robotiq.registers import MODELS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
 
@@ -155,6 +156,7 @@ async def test_a_gripper_that_only_times_out_is_lost(emulator: RobotiqEmulator) 
     await gripper.close()
 
 
+@each_model
 async def test_jaws_that_stand_apart_without_an_object_are_at_rest(
     emulator: RobotiqEmulator, gripper: RobotiqGripper, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -165,9 +167,10 @@ async def test_jaws_that_stand_apart_without_an_object_are_at_rest(
     await until_it_rests(gripper)
     state = await gripper.state()
     assert (state.moving, state.holding, state.closed_on_nothing) == (False, False, False)
-    assert state.width_mm > 80.0
+    assert state.width_mm > 0.9 * MODELS[emulator.settings.model].stroke_mm
 
 
+@each_model
 @pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.1, 0.2])
 @pytest.mark.parametrize("object_mm", [None, 41.2])
 async def test_a_late_gobj_is_neither_a_grip_nor_closed_on_nothing(
@@ -185,21 +188,23 @@ async def test_a_late_gobj_is_neither_a_grip_nor_closed_on_nothing(
     assert state.width_mm == pytest.approx(object_mm or 0.0, abs=0.4)
 
 
+@each_model
 @pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.1, 0.2])
 async def test_a_late_gobj_neither_ends_a_tightening_nor_prolongs_a_release(
     emulator: RobotiqEmulator, held: RobotiqGripper, lag_s: float
 ) -> None:
     emulator.registers.draw_lag_s = lambda: lag_s
-    await held.hold(200.0)
+    applied_n = await held.hold(150.0)
     while (state := await held.state()).moving:
         assert state.holding
     assert state.holding
-    assert emulator.state()["force_n"] == pytest.approx(200.4, abs=0.5)
+    assert emulator.state()["force_n"] == pytest.approx(applied_n, abs=0.01)
+    assert applied_n == pytest.approx(150.4, abs=0.5)
     await held.release(85.0)
     while (state := await held.state()).moving:
         assert not state.holding
     assert not state.holding
-    assert state.width_mm == pytest.approx(85.0, abs=0.4)
+    assert state.width_mm == pytest.approx(MODELS[emulator.settings.model].stroke_mm, abs=0.4)
 
 
 async def test_fingers_halted_before_gobj_shows_their_motion_stop(
@@ -246,6 +251,7 @@ async def test_an_ignored_go_is_reported(emulator: RobotiqEmulator, held: Roboti
     assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
 
 
+@each_model
 async def test_while_the_force_rises_it_is_holding(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
     await held.hold(200.0)
     seen = [await held.state() for _ in range(10)]
@@ -324,20 +330,25 @@ async def test_opening_is_refused_while_the_fingers_close(tmp_path: Path) -> Non
     await emulator.stop()
 
 
-async def test_a_2f140_has_its_own_force_and_width_range(tmp_path: Path) -> None:
-    emulator = quick(tmp_path, model="2F-140", activated=True, object_width_mm=100.0)
+@pytest.mark.parametrize(
+    ("model", "width_mm", "object_mm", "force_n"), [("2F-140", 120.0, 100.0, 125.0), ("Hand-E", 42.0, 30.0, 185.0)]
+)
+async def test_each_model_has_its_own_force_and_width_range(
+    tmp_path: Path, model: str, width_mm: float, object_mm: float, force_n: float
+) -> None:
+    emulator = quick(tmp_path, model=model, activated=True, object_width_mm=object_mm)
     await emulator.start()
-    gripper = RobotiqGripper(settings(emulator).model_copy(update={"model": "2F-140"}), DriverContext("gripper"))
+    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
-    assert await gripper.move(120.0, 30.0) == pytest.approx(120.0, abs=0.4)
+    assert await gripper.move(width_mm, 30.0) == pytest.approx(width_mm, abs=0.4)
     await until_it_rests(gripper)
-    assert emulator.state()["width_mm"] == pytest.approx(120.0, abs=0.4)
-    assert await gripper.hold(200.0) == 125.0
+    assert emulator.state()["width_mm"] == pytest.approx(width_mm, abs=0.4)
+    assert await gripper.hold(300.0) == force_n
     await until_it_rests(gripper)
     truth, state = emulator.state(), await gripper.state()
-    assert (truth["force_n"], truth["width_mm"]) == (125.0, 100.0)
+    assert (truth["force_n"], truth["width_mm"]) == (force_n, object_mm)
     assert state.holding
-    assert state.width_mm == pytest.approx(100.0, abs=0.7)
+    assert state.width_mm == pytest.approx(object_mm, abs=0.7)
     await gripper.close()
     await emulator.stop()
 

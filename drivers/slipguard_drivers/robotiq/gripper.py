@@ -1,4 +1,4 @@
-"""Driver `robotiq`: a Robotiq 2F over Modbus RTU. Each command is a register write that is verified.
+"""Driver `robotiq`: a Robotiq 2F or Hand-E over Modbus RTU. Each command is a register write that is verified.
 
 Two properties of the hardware determine the design:
 
@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeVar
 
 import structlog
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from slipguard.devices import ACTIVATION_HINT, DriverContext, Gripper, GripperState
 from slipguard.diagnosis import CheckResult, note, ok
@@ -37,7 +37,9 @@ CALL_TIMEOUTS = 8
 ECHO_READS = 5
 """Status reads until a command must be visible in the status: 5 x 5 ms; the gripper's cycle is 5 ms."""
 RELEASE_COUNTS_MIN = 15
-"""A release opens at least this far (5.6 mm on a 2F-85), even if a smaller width is requested."""
+"""A release opens at least this far (5.6 mm on a 2F-85, 2.9 mm on a Hand-E), even if a smaller width is requested."""
+OPENING_MIN_MM = 5.0
+"""Two fingertip sensors must leave at least this much of the stroke."""
 ACTIVATION_TIMEOUT_S = 10.0
 """A 2F-85 takes about 3 s to open and close fully."""
 ACTIVATION_POLL_S = 0.05
@@ -54,13 +56,21 @@ class RobotiqSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     port: Annotated[str, Field(min_length=1)]
-    model: Literal["2F-85", "2F-140"] = "2F-85"
+    model: Literal["2F-85", "2F-140", "Hand-E"] = "2F-85"
     slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
     timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
     approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
     """Share of the speed range, 20 to 150 mm/s on a 2F-85, at which the fingers close on an object."""
     fingertip_mm: Annotated[float, Field(ge=0.0, le=40.0)] = 0.0
     """Thickness of the sensor and its mount on each finger; `slipguard ctl fingertips` measures it."""
+
+    @model_validator(mode="after")
+    def _leaves_an_opening(self) -> RobotiqSettings:
+        most_mm = (MODELS[self.model].stroke_mm - OPENING_MIN_MM) / 2.0
+        if self.fingertip_mm > most_mm:
+            problem = f"fingertip_mm = {self.fingertip_mm:g} leaves no opening on a {self.model}"
+            raise ValueError(f"{problem}: it must be at most {most_mm:g}")
+        return self
 
 
 def check_fingertips(model: RobotiqModel) -> CheckResult:
@@ -73,7 +83,7 @@ def check_fingertips(model: RobotiqModel) -> CheckResult:
 
 
 class RobotiqGripper(Gripper):
-    """A 2F-85 or 2F-140 on a serial port of its own."""
+    """A 2F-85, 2F-140 or Hand-E on a serial port of its own."""
 
     Settings = RobotiqSettings
 

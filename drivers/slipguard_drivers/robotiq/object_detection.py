@@ -23,8 +23,9 @@ OBJECT_LAG_S = 0.2
 """Longest time from an accepted command to the gOBJ that belongs to it."""
 STANDS_S = 0.5
 """Fingers whose position stays the same for this time stand; at the lowest speed a count takes 20 ms."""
-YIELD_COUNTS = 3
-"""Fingers that press an object move by at most this much while the force rises (1.1 mm on a 2F-85)."""
+YIELD_MM = 1.1
+YIELD_COUNTS_MIN = 3
+"""Fingers that press an object move by at most this much while the force rises."""
 
 
 class ObjectDetection:
@@ -32,6 +33,7 @@ class ObjectDetection:
 
     def __init__(self, model: RobotiqModel) -> None:
         self._model = model
+        self._yield_counts = max(YIELD_COUNTS_MIN, round(YIELD_MM / model.mm_per_count))
         self.forget()
 
     def forget(self) -> None:
@@ -95,7 +97,7 @@ class ObjectDetection:
 
     def _may_hold(self, status: RobotiqStatus) -> bool:
         inward = status.position_echo > status.position
-        known = self.gripped_at is not None and abs(status.position - self.gripped_at) <= YIELD_COUNTS
+        known = self.gripped_at is not None and abs(status.position - self.gripped_at) <= self._yield_counts
         if not status.going:
             return inward and (known or not self._is_closed(status))
         meaningful = self._decided or self._newest is None

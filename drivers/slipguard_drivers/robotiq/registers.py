@@ -1,8 +1,8 @@
-"""The register map of a Robotiq 2F gripper: pure encoding and decoding, no communication.
+"""The register map of a Robotiq 2F or Hand-E gripper: pure encoding and decoding, no communication.
 
 Three registers are written at 0x03E8 (action | -, - | position, speed | force) and three are read at
 0x07D0 (status | -, fault | position echo, position | current). Position 0 is open, 255 closed.
-Source: Robotiq 2F-85/2F-140 instruction manual.
+Source: Robotiq 2F-85/2F-140 and Hand-E instruction manuals, section 4.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09})
 
 @dataclass(frozen=True, slots=True)
 class RobotiqModel:
-    """Data of one 2F model.
+    """Data of one model.
 
     open_count, closed_count: positions at which the fingers stop after activation. fingertip_mm: thickness of a sensor
     on each finger; widths are between the gels.
@@ -80,7 +80,10 @@ class RobotiqModel:
 
 MODEL_2F85 = RobotiqModel("2F-85", 85.0, 3, 230, 20.0, 235.0)
 MODEL_2F140 = RobotiqModel("2F-140", 140.0, 3, 230, 10.0, 125.0)
-MODELS = {model.name: model for model in (MODEL_2F85, MODEL_2F140)}
+MODEL_HAND_E = RobotiqModel("Hand-E", 50.0, 0, 255, 20.0, 185.0)
+"""Hand-E instruction manual: 50 mm stroke, 20 to 185 N, 20 to 150 mm/s, gPO 0 open to 255 closed. An earlier edition
+calculates with at most 130 N."""
+MODELS = {model.name: model for model in (MODEL_2F85, MODEL_2F140, MODEL_HAND_E)}
 
 
 class FingerMotion(IntEnum):
@@ -128,7 +131,7 @@ def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -
 
 
 def decode(registers: Sequence[int]) -> RobotiqStatus:
-    """Decode the three input registers. Raises DeviceError if they cannot be those of a 2F."""
+    """Decode the three input registers. Raises DeviceError if they cannot be those of such a gripper."""
     if len(registers) != REGISTERS or any(not 0 <= word <= 0xFFFF for word in registers):
         raise DeviceError(
             f"status {list(registers)} is not {REGISTERS} registers of 16 bits; check the gripper's model"

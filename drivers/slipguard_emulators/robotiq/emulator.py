@@ -1,4 +1,4 @@
-"""A Robotiq 2F on a pseudo terminal: Modbus RTU with the timing of a real wire, with faults on demand."""
+"""A Robotiq 2F or Hand-E on a pseudo terminal: Modbus RTU with the timing of a real wire, with faults on demand."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ FAULTS = {
 
 
 class RobotiqEmulator(ControlledEmulator):
-    """Emulate a 2F gripper on a serial port: registers, moving jaws, an object, faults on demand.
+    """Emulate a 2F or Hand-E gripper on a serial port: registers, moving jaws, an object, faults on demand.
 
     Further commands: `object MM|none`, `gflt CODE`.
 
@@ -58,7 +58,7 @@ class RobotiqEmulator(ControlledEmulator):
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
         link: Annotated[Path | None, Field(description="Name of the port; default: the pseudo terminal's own.")] = None
-        model: Annotated[Literal["2F-85", "2F-140"], Field(description="Gripper model.")] = "2F-85"
+        model: Annotated[Literal["2F-85", "2F-140", "Hand-E"], Field(description="Gripper model.")] = "2F-85"
         slave_id: Annotated[int, Field(ge=1, le=247, description="Modbus address.")] = 9
         object_width_mm: Annotated[
             float | None,

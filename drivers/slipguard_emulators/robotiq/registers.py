@@ -1,4 +1,4 @@
-"""The controller of a 2F gripper behind its registers; written from the manual, without code of the driver.
+"""The controller of a 2F or Hand-E gripper behind its registers; written from the manual, without code of the driver.
 
 It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, at full speed and force,
 so an object falls. A new force acts only while the motor runs: at rest, only a stop and then a go start it. Written
@@ -25,22 +25,25 @@ OBJECT_LAG_MAX_S = 0.2
 SILENT_S = 1.0
 """After this time without a request, fault 0x09 is reported."""
 RACT, RGTO, RATR, RARD = 0x01, 0x08, 0x10, 0x20
-OPEN_COUNT, CLOSED_COUNT = 3, 230
-"""Positions at which the fingers stop, of 0 to 255."""
 
 
 @dataclass(frozen=True, slots=True)
 class GripperFigures:
-    """Data of one model: stroke, lowest and highest force and speed."""
+    """Data of one model: stroke, lowest and highest force and speed.
+
+    counts: positions at which the open and the closed fingers stop, of 0 to 255.
+    """
 
     stroke_mm: float
     force_n: tuple[float, float]
     speed_mm_s: tuple[float, float]
+    counts: tuple[int, int] = (3, 230)
 
 
 FIGURES = {
     "2F-85": GripperFigures(85.0, (20.0, 235.0), (20.0, 150.0)),
     "2F-140": GripperFigures(140.0, (10.0, 125.0), (30.0, 250.0)),
+    "Hand-E": GripperFigures(50.0, (20.0, 185.0), (20.0, 150.0), (0, 255)),
 }
 
 
@@ -216,8 +219,7 @@ class GripperRegisters:
             return 2
         if view.met_opening:
             return 1
-        arrived = abs(self._count(view.width_mm) - min(max(self.outputs[1] & 0xFF, OPEN_COUNT), CLOSED_COUNT)) <= 1
-        return 3 if arrived else 0
+        return 3 if abs(self._count(view.width_mm) - self._reachable(self.outputs[1] & 0xFF)) <= 1 else 0
 
     def _fault_code(self, now_s: float) -> int:
         """gFLT."""
@@ -234,9 +236,15 @@ class GripperRegisters:
         return 0x09 if silent else 0
 
     def _count(self, width_mm: float) -> int:
-        share = 1.0 - width_mm / self.figures.stroke_mm
-        return round(OPEN_COUNT + share * (CLOSED_COUNT - OPEN_COUNT))
+        share, (open_count, closed_count) = 1.0 - width_mm / self.figures.stroke_mm, self.figures.counts
+        return round(open_count + share * (closed_count - open_count))
 
     def _width_mm(self, count: int) -> float:
-        share = (min(max(count, OPEN_COUNT), CLOSED_COUNT) - OPEN_COUNT) / (CLOSED_COUNT - OPEN_COUNT)
+        open_count, closed_count = self.figures.counts
+        share = (self._reachable(count) - open_count) / (closed_count - open_count)
         return self.figures.stroke_mm * (1.0 - share)
+
+    def _reachable(self, count: int) -> int:
+        """Return the position nearest to a requested one at which the fingers can stop."""
+        open_count, closed_count = self.figures.counts
+        return min(max(count, open_count), closed_count)

@@ -17,6 +17,7 @@ from slipguard_drivers.robotiq.registers import (
     INPUT_ADDRESS,
     MODEL_2F85,
     MODEL_2F140,
+    MODEL_HAND_E,
     OUTPUT_ADDRESS,
     FingerMotion,
     count_to_force,
@@ -109,9 +110,10 @@ def test_counts_are_bytes(name: str, count: int) -> None:
         encode(activate=True, go=True, **{"position": 0, "speed": 0, "force": 0, name: count})
 
 
-def test_the_force_range_of_both_models() -> None:
+def test_the_force_range_of_each_model() -> None:
     assert [count_to_force(count, MODEL_2F85) for count in (0, 255)] == [20.0, 235.0]
     assert [count_to_force(count, MODEL_2F140) for count in (0, 255)] == [10.0, 125.0]
+    assert [count_to_force(count, MODEL_HAND_E) for count in (0, 255)] == [20.0, 185.0]
     assert count_to_force(1, MODEL_2F85) - 20.0 == pytest.approx(0.843, abs=1e-3)
 
 
@@ -137,7 +139,17 @@ def test_a_width_comes_back_within_half_a_count(width_mm: float) -> None:
     assert count_to_width(count, MODEL_2F85) == pytest.approx(width_mm, abs=85.0 / 227 / 2 + 1e-9)
 
 
+@given(st.floats(0.0, 50.0))
+def test_a_width_of_a_hand_e_comes_back_within_half_a_count(width_mm: float) -> None:
+    count = width_to_count(width_mm, MODEL_HAND_E)
+    half_mm = 50.0 / 255 / 2 + 1e-9
+    expected = pytest.approx(max(width_mm, 50.0 / 255), abs=half_mm)
+    assert count_to_width(count, MODEL_HAND_E) == expected, "a move never aims at the goal of closing"
+
+
 def test_the_ends_of_the_stroke() -> None:
+    assert width_to_count(50.0, MODEL_HAND_E) == 0
+    assert count_to_width(255, MODEL_HAND_E) == 0.0
     assert width_to_count(85.0, MODEL_2F85) == 3
     assert width_to_count(0.0, MODEL_2F85) == 230
     assert count_to_width(0, MODEL_2F85) == 85.0
