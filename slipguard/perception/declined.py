@@ -18,6 +18,7 @@ class DeclineReason(StrEnum):
     CONTACT_TOO_SMALL = "contact too small"
     CONTACT_CHANGED = "contact changed too much since the reference"
     ROUND = "round contact"
+    GEL_CONTOUR = "contour may be the gel's own"
     CLIPPED = "clipped by the frame"
     NO_MIDDLE_LINE = "no straight middle line"
     PERIODIC_CONTOUR = "contour repeats itself"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import StageTimer
+from slipguard.perception.quality.background import estimate_background
 from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotation_of_axes
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
@@ -21,6 +22,7 @@ from slipguard.perception.rotation.fusion import (
     is_certain,
     needs_contour,
 )
+from slipguard.perception.rotation.gel_contour import GelContour
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_template import make_texture_template
@@ -41,13 +43,14 @@ class Reference:
     """What rotations are measured against. axes: by estimator. Center in frame pixels.
 
     image: the reference frame, (320, 240, 3) uint8. texture: tracks the texture in the contact; None without a
-    background image, or if the contact has too little texture.
+    background image, or if the contact has too little texture. contour: recognizes a contour that is the gel's own.
     """
 
     image: NDArray[np.uint8]
     axes: PatchAxes
     patch: Patch
     texture: TextureTracker | None
+    contour: GelContour
     center_px: tuple[float, float]
 
 
@@ -145,7 +148,7 @@ class RotationMeter:
 
         if name not in ("fused", "registration"):
             rotation = fuse_rotation(None, None, axis)
-            return RotationMeasurement(self._accept(now_s, rotation), center_shift_px, axes)
+            return RotationMeasurement(self._accept(now_s, rotation, patch), center_shift_px, axes)
 
         texture_map = self._read_texture(reference, image, patch)
         found = None
@@ -163,7 +166,7 @@ class RotationMeter:
 
         if not needs_contour(texture, axis):
             rotation = fuse_rotation(texture, None, axis if name == "fused" else None)
-            return RotationMeasurement(self._accept(now_s, rotation, by_texture=True), shift_px, axes)
+            return RotationMeasurement(self._accept(now_s, rotation, patch, by_texture=True), shift_px, axes)
 
         certain = texture is not None and is_certain(texture)
         if not certain:
@@ -183,7 +186,7 @@ class RotationMeter:
             1.0 if found is None else found.deformation,
         )
         shift_px = contour.shift_px if found is None else found.complete_shift(contour.shift_px)
-        return RotationMeasurement(self._accept(now_s, rotation), shift_px, axes)
+        return RotationMeasurement(self._accept(now_s, rotation, patch), shift_px, axes)
 
     def take_reference(
         self,
@@ -206,13 +209,16 @@ class RotationMeter:
             The patch's axes by every estimator.
         """
         texture = None
+        reader = self._reader or TextureMapReader(estimate_background(image))
+        reader.learn(image, patch)
+        texture_map = reader.read(image, patch)
         if self._reader is not None:
-            self._reader.learn(image, patch)
-            template = make_texture_template(self._reader.read(image, patch), patch)
+            template = make_texture_template(texture_map, patch)
             texture = None if template is None else TextureTracker(template, rotation_deg is not None)
+        contour = GelContour(texture_map, reader.slopes(image, patch), patch)
         timer.mark("reference")
         axes = self._axes.all(patch, self._axes.fast(patch, timer), timer)
-        self.reference = Reference(image, axes, patch, texture, patch.center_px)
+        self.reference = Reference(image, axes, patch, texture, contour, patch.center_px)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._template = None
@@ -233,8 +239,12 @@ class RotationMeter:
             return self._tracker.predicted_deg(now_s)
         return self._tracker.extrapolated_deg(now_s)
 
-    def _accept(self, now_s: float, rotation: RotationEstimate, by_texture: bool = False) -> RotationEstimate:
-        """Decline a rotation that is too uncertain or implausible; add it to the history otherwise."""
+    def _accept(
+        self, now_s: float, rotation: RotationEstimate, patch: Patch, by_texture: bool = False
+    ) -> RotationEstimate:
+        """Decline a rotation that is too uncertain, implausible or the gel's own; add it to the history otherwise."""
+        if self.reference is not None:
+            rotation = self.reference.contour.check(rotation, patch)
         limit = self._settings.sigma_max_deg
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"

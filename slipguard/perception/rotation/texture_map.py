@@ -116,10 +116,16 @@ class TextureMapReader:
 
     def read(self, image: NDArray[np.uint8], patch: Patch) -> TextureMap:
         """Return the texture map in and around a patch. image: (320, 240, 3) uint8 BGR."""
-        window = ImageWindow.around(patch)
-        slopes = cv2.GaussianBlur(cv2.transform(self._difference(image, window), self._colors), (0, 0), BLUR_PX)
+        slopes = self.slopes(image, patch)
         right, up = cv2.split(slopes)
-        return TextureMap(window, _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32)), self._noise)
+        curvature = _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32))
+        return TextureMap(ImageWindow.around(patch), curvature, self._noise)
+
+    def slopes(self, image: NDArray[np.uint8], patch: Patch) -> Field:
+        """Return the gel's slopes to the right and upwards in and around a patch: (h, w, 2) float32, gray levels."""
+        window = ImageWindow.around(patch)
+        colors = cv2.transform(self._difference(image, window), self._colors)
+        return np.asarray(cv2.GaussianBlur(colors, (0, 0), BLUR_PX), np.float32)
 
     def _difference(self, image: NDArray[np.uint8], window: ImageWindow) -> Field:
         """Return frame minus background image in a window, (h, w, 3) float32 gray levels."""

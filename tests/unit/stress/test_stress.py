@@ -131,8 +131,8 @@ def test_a_drift_of_a_tenth_of_a_degree_is_detected() -> None:
     class Drifting(RotationTracker):
         off = 0.0
 
-        def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
-            accepted = super().accept(now_s, rotation)
+        def accept(self, now_s: float, rotation: RotationEstimate, by_texture: bool = False) -> RotationEstimate:
+            accepted = super().accept(now_s, rotation, by_texture)
             self.off += 1e-4
             return replace(accepted, rotation_deg=(accepted.rotation_deg or 0.0) + self.off)
 

@@ -1,0 +1,103 @@
+"""Recognizes contours that are the gel's own: a flat face pressed lightly into a domed gel touches it in an ellipse.
+
+That ellipse shows the dome, not the object, and stays when the object rotates. Balls, large cylinders and smooth ends
+touch in an ellipse too; it shows the sum of both curvatures, so it rotates by more or less than the object. An edge of
+the object bends the gel sharply, a smooth contact does not. The dome's own ellipse lies along the axes of the gel.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slipguard.perception.contact.patch import Patch
+from slipguard.perception.declined import DeclineReason, explain
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.texture_map import REDUCTION, Field, TextureMap, mask_in_window
+
+SHARP_MIN = 7.0
+"""Curvature of the gel times half the contact's width over its slope: 2.4-5.8 for balls, cylinders, eggs and flat faces
+without an edge in the contact, 7-24 for broad contacts with edges, on rendered gels with domes of all kinds."""
+SKIRT_PX = 6
+"""The contact's surroundings count as far out as this, texture pixels."""
+CURVED_PERCENTILE, STEEP_PERCENTILE = 97.0, 95.0
+NOISE_FACTOR = 2.2
+"""The percentile of the curvature over the standard deviation of its noise."""
+BROAD_PX = 65.0
+"""Width of a contact, frame pixels (3.5 mm), from which it may be a dome's own: a gel of 30 mm radius is touched over
+3.5 mm at a depth of 0.05 mm."""
+FLAT_LEVELS, CURVED_LEVELS = 3.0, 9.0
+"""Curvature of the gel, gray levels per pixel, up to which it may be a dome's own, and from which a dome does not
+matter: 0.4-2.6 for flat faces, balls of 30 mm and cylinders of 10-35 mm radius on domes of 30 mm radius and more; 4 for
+a battery, 9 and more for a pen or a screwdriver."""
+STEEP_MIN = 1.0
+"""Slope, gray levels, below which the image shows no surface at all; the faintest contacts have 5."""
+ALIGNED_DEG = 20.0
+"""An ellipse closer than this to the image's axes, which are the gel's, may be the dome's own."""
+DOME_ASPECT_MAX = 5.0
+"""Largest aspect of a dome's height lines."""
+DOME_SHARE_MAX = 0.3
+"""Largest share of the rotation in sigma for a smooth contact that is not the gel's own."""
+
+
+class GelContour:
+    """Whether the reference's contact is smooth, and what that means for a rotation since then.
+
+    Args:
+        texture_map: The reference's texture map.
+        slopes: The gel's slopes in the same window, (h, w, 2) float32, gray levels.
+        patch: The reference's contact.
+    """
+
+    def __init__(self, texture_map: TextureMap, slopes: Field, patch: Patch) -> None:
+        self._shape = _Ellipse(patch)
+        curved, steep = _strength(texture_map, slopes, patch)
+        sharp = 0.5 * self._shape.width_px / REDUCTION * curved / max(steep, 1e-3)
+        self._flat = min(FLAT_LEVELS / max(curved, 1e-3), 1.0)
+        edgeless = steep >= STEEP_MIN and curved < CURVED_LEVELS and sharp < SHARP_MIN
+        self.smooth = edgeless and self._shape.width_px >= BROAD_PX
+        """Whether the contact is broad and has no edges."""
+        self._detail = f"bent by {sharp:.1f}, limit {SHARP_MIN:g}"
+
+    def check(self, rotation: RotationEstimate, patch: Patch) -> RotationEstimate:
+        """Decline a rotation if the contour may be the gel's own; increase its sigma if the dome may distort it."""
+        if not self.smooth or rotation.rotation_deg is None or rotation.sigma_deg is None:
+            return rotation
+        now = _Ellipse(patch)
+        if self._flat == 1.0 and min(now.aspect, self._shape.aspect) < DOME_ASPECT_MAX:
+            off_deg = min(now.off_axes_deg, self._shape.off_axes_deg)
+            if off_deg < ALIGNED_DEG:
+                detail = f"{self._detail}; {off_deg:.0f} deg from the gel's axes, limit {ALIGNED_DEG:g} deg"
+                return RotationEstimate(None, None, explain(DeclineReason.GEL_CONTOUR, detail))
+        share = self._flat * min(1.0 / max(now.aspect**2 - 1.0, 1e-3), DOME_SHARE_MAX)
+        return RotationEstimate(
+            rotation.rotation_deg, math.hypot(rotation.sigma_deg, share * rotation.rotation_deg), rotation.declined
+        )
+
+
+class _Ellipse:
+    """The ellipse of a patch's second moments. width_px: its short axis, frame pixels."""
+
+    def __init__(self, patch: Patch) -> None:
+        m = cv2.moments(patch.mask, True)
+        area = max(m["m00"], 1.0)
+        xx, yy, xy = m["mu20"] / area, m["mu02"] / area, m["mu11"] / area
+        half = math.hypot(0.5 * (xx - yy), xy)
+        middle = 0.5 * (xx + yy)
+        short2 = max(middle - half, 0.1)
+        self.aspect = math.sqrt((middle + half) / short2)
+        self.width_px = 4.0 * math.sqrt(short2) * patch.frame_px
+        from_right_deg = abs(math.degrees(0.5 * math.atan2(2.0 * xy, xx - yy)))
+        self.off_axes_deg = min(from_right_deg, 90.0 - from_right_deg)
+
+
+def _strength(texture_map: TextureMap, slopes: NDArray[np.float32], patch: Patch) -> tuple[float, float]:
+    """Return the largest curvature and slope of the gel in and around a patch: gray levels per pixel, gray levels."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SKIRT_PX + 1, 2 * SKIRT_PX + 1))
+    near = cv2.dilate(mask_in_window(patch, texture_map.window), disc) > 0
+    curved = float(np.percentile(np.abs(texture_map.curvature[near]), CURVED_PERCENTILE))
+    curved = math.sqrt(max(curved**2 - (NOISE_FACTOR * texture_map.noise) ** 2, 0.0))
+    return curved, float(np.percentile(np.hypot(slopes[..., 0], slopes[..., 1])[near], STEEP_PERCENTILE))
