@@ -21,6 +21,8 @@ class Condition(StrEnum):
     """No recent frame, or only frozen or corrupt ones; the sensor is connected."""
     LATE = "late"
     """Frames arrive, but this machine receives or processes them too late."""
+    STUCK = "stuck"
+    """Frames arrive, but the processing of one does not return, and its thread did not wait for a processor."""
     LOST = "lost"
     """The sensor is not connected."""
 

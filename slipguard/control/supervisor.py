@@ -204,6 +204,12 @@ def _frames(memory: Supervision, observation: Observation, params: GuardParams) 
     both = " and ".join(f"{name}: {finger.why or finger.condition}" for name, finger in fingers)
     if any(finger.condition is Condition.LATE for _, finger in fingers):
         return _busy(f"frames arrive, but are processed {silent_s:.1f} s late ({both})")
+    if any(finger.condition is Condition.STUCK for _, finger in fingers):
+        stuck = f"frames arrive, but their processing does not return ({both})"
+        fault = Fault(
+            FaultCode.FRAMES_LOST, stuck, "restart slipguard, which keeps the grip; until then slip is not detected"
+        )
+        return _due_to_busy_machine(fault, observation, timeout_s, connected=True)
     lost = Fault(
         FaultCode.FRAMES_LOST,
         f"no good frame for {silent_s:.1f} s ({both})" if math.isfinite(silent_s) else f"never a good frame ({both})",

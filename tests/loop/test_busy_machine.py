@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 
 import pytest
 from loop_cell import Cell, play
@@ -11,6 +12,7 @@ from loop_cell import Cell, play
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, LiftRequest
+from slipguard.daemon.loop.finger import ThreadWorker
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
 from slipguard.errors import CommandRefused
 
@@ -115,6 +117,64 @@ def test_workers_that_are_late_are_named() -> None:
         await held_and_cleared(cell)
 
     play(Cell("wrench", 1), scene)
+
+
+def test_processing_that_never_returns_is_named() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        for worker in cell.workers.values():
+            worker.latency_s = 1e6
+            worker.waited_s = lambda: 3.0  # type: ignore[method-assign]
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.FRAMES_LOST
+        assert (
+            "frames arrive, but their processing does not return (left: the processing of a frame has" in fault.observed
+        )
+        assert "restart slipguard" in fault.what_to_do
+        await asyncio.sleep(1.0)
+        lines = "\n".join(cell.service.event_log.lines)
+        assert "left: the processing of a frame has not returned for " in lines
+        assert "busy" not in lines
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_thread_that_waits_for_a_processor_is_not_stuck() -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        for worker in cell.workers.values():
+            worker.latency_s = 1e6
+            worker.waited_s = lambda: 0.5 * cell.now_s  # type: ignore[method-assign]
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.MACHINE_BUSY
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_thread_that_hangs_does_not_wait_for_a_processor() -> None:
+    async def main() -> None:
+        worker, hangs, goes_on = ThreadWorker("test"), threading.Event(), threading.Event()
+
+        def hang(_: object) -> bool:
+            hangs.set()
+            return goes_on.wait()
+
+        task = asyncio.create_task(worker.run(hang, None))
+        await asyncio.to_thread(hangs.wait)
+        await asyncio.sleep(0.02)
+        waited_s = worker.waited_s()
+        await asyncio.sleep(0.05)
+        assert waited_s is not None
+        assert worker.waited_s() == waited_s
+        goes_on.set()
+        await task
+        worker.close()
+
+    asyncio.run(main())
 
 
 def test_cameras_that_stall_on_an_idle_machine_are_named() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 from slipguard.cancellation import raise_if_cancelled
@@ -27,6 +29,9 @@ STALE_S = 0.15
 
 At 30 fps one lost frame gives an age of 122 ms: two frames of 33 ms, 50 ms of latency, 6 ms of processing.
 """
+STUCK_AFTER_S = 0.05
+STUCK_WAITED_SHARE = 0.25
+"""A frame that is late hangs, unless its thread waited for a processor for this share of the time since it was late."""
 A = TypeVar("A")
 T = TypeVar("T")
 
@@ -51,6 +56,10 @@ class Worker(Protocol):
         """Return `work(argument)`."""
         ...
 
+    def waited_s(self) -> float | None:
+        """Return for how long its thread has waited for a processor since its start; None if that is unknown."""
+        ...
+
     def close(self) -> None:
         """End the worker's thread, if it has one."""
         ...
@@ -60,10 +69,22 @@ class ThreadWorker:
     """A worker with one thread, so that numpy and onnxruntime do not block the event loop."""
 
     def __init__(self, name: str) -> None:
-        self._pool = ThreadPoolExecutor(1, f"slipguard-{name}", initializer=set_worker_priority)
+        self._thread_id = 0
+        self._pool = ThreadPoolExecutor(1, f"slipguard-{name}", initializer=self._begin)
+
+    def _begin(self) -> None:
+        set_worker_priority()
+        self._thread_id = threading.get_native_id()
 
     async def run(self, work: Callable[[A], T], argument: A) -> T:
         return await asyncio.get_running_loop().run_in_executor(self._pool, work, argument)
+
+    def waited_s(self) -> float | None:
+        try:
+            schedstat = Path(f"/proc/self/task/{self._thread_id}/schedstat").read_bytes()
+        except OSError:
+            return None
+        return int(schedstat.split()[1]) / 1e9
 
     def close(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -130,6 +151,10 @@ class Finger:
         self._pipeline_serial: str | None = None
         self._on_change = on_change
         self._retry_s = retry_s
+        self._processing_since_s: float | None = None
+        """Since when the worker has been processing a frame; None if it is not."""
+        self._late_since: tuple[float, float] | None = None
+        """When that frame was first found late, and for how long the worker had waited for a processor by then."""
         self._peer: Finger | None = None
         self._refresh_s = 0.0
         self._wants_reset = False
@@ -152,11 +177,23 @@ class Finger:
         elif -STALE_S <= age_s <= STALE_S:
             condition = Condition.FRESH
         elif age_s > 0.0 and self.health.ready and self._receives(now_s):
-            return FingerHealth(Condition.LATE, age_s, f"its frames are processed {age_s:.2f} s late"), None
+            return self._late(now_s, age_s), None
         else:
             condition = Condition.STALE
         fresh = self.newest.estimate if self.newest is not None and condition is Condition.FRESH else None
         return FingerHealth(condition, age_s, self.health.reason), fresh
+
+    def _late(self, now_s: float, age_s: float) -> FingerHealth:
+        """Return why frames that arrive are not processed in time: the machine is too busy, or processing hangs."""
+        late = FingerHealth(Condition.LATE, age_s, f"its frames are processed {age_s:.2f} s late")
+        waited_s = self._worker.waited_s()
+        if waited_s is None or self._processing_since_s is None:
+            return late
+        self._late_since = since_s, before_s = self._late_since or (now_s, waited_s)
+        if now_s - since_s < STUCK_AFTER_S or waited_s - before_s > STUCK_WAITED_SHARE * (now_s - since_s):
+            return late
+        for_s = now_s - self._processing_since_s
+        return FingerHealth(Condition.STUCK, age_s, f"the processing of a frame has not returned for {for_s:.2f} s")
 
     def _receives(self, now_s: float) -> bool:
         received_at_s = self.capture.received_at_s
@@ -212,7 +249,7 @@ class Finger:
                     pipeline.reset_reference()
                 estimate = self._kept_estimate(frame, pipeline)
                 if estimate is None:
-                    estimate = await self._worker.run(pipeline.process, frame)
+                    estimate = await self._process(pipeline, frame)
             except DRIVER_ERRORS as error:
                 raise_if_cancelled()
                 reason = failure_reason(pipeline, error, self.health)
@@ -241,6 +278,13 @@ class Finger:
             self.newest = TimedEstimate(estimate, received_at_s, loop.time())
             self.has_estimate.set()
             self._on_change()
+
+    async def _process(self, pipeline: PerceptionPipeline, frame: Frame) -> Estimate:
+        self._processing_since_s = asyncio.get_running_loop().time()
+        try:
+            return await self._worker.run(pipeline.process, frame)
+        finally:
+            self._processing_since_s = self._late_since = None
 
     def _kept_estimate(self, frame: Frame, pipeline: PerceptionPipeline) -> Estimate | None:
         """Return the last estimate for this frame if the other finger makes processing it unnecessary."""

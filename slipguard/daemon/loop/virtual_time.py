@@ -81,5 +81,9 @@ class FixedLatencyWorker:
         await asyncio.sleep(max(0.0, deadline_s - asyncio.get_running_loop().time()))
         return result
 
+    def waited_s(self) -> float | None:
+        """Return None: there is no thread that could wait for a processor."""
+        return None
+
     def close(self) -> None:
         """Do nothing: there is no thread."""

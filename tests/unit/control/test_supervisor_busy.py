@@ -14,6 +14,7 @@ from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.supervisor import Supervision, supervise
 
 PARAMS = GuardParams()
+STUCK = FingerHealth(Condition.STUCK, 0.4, "the processing of a frame has not returned for 0.40 s")
 LATE = FingerHealth(Condition.LATE, 0.4, "its frames are processed 0.40 s late")
 SILENT: list[tuple[str, Callable[[float, float], Observation], FaultCode]] = [
     ("gripper", lambda t, busy_s: observation(t, gripper=gripper(at_s=0.0), busy_s=busy_s), FaultCode.GRIPPER_SILENT),
@@ -96,3 +97,12 @@ def test_after_a_suspension_the_loop_is_the_fault_and_the_devices_get_their_time
         FaultCode.FRAMES_LOST,
         FaultCode.ARM_SILENT,
     ]
+
+
+@pytest.mark.parametrize(("other", "code"), [(STUCK, FaultCode.FRAMES_LOST), (LATE, FaultCode.MACHINE_BUSY)])
+def test_processing_that_hangs_is_named_unless_the_machine_is_busy(other: FingerHealth, code: FaultCode) -> None:
+    _, fault = first_fault(HOLDING, lambda t: observation(t, left=STUCK, right=other))
+    assert fault is not None
+    assert fault.code is code
+    assert "left: the processing of a frame has not returned for 0.40 s" in fault.observed
+    assert ("restart slipguard" in fault.what_to_do) is (code is FaultCode.FRAMES_LOST)
