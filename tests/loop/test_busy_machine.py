@@ -177,6 +177,24 @@ def test_a_thread_that_hangs_does_not_wait_for_a_processor() -> None:
     asyncio.run(main())
 
 
+def test_cameras_whose_frames_are_old_on_arrival_are_named() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.grasp()
+        for name in ("left", "right"):
+            cell.world.faults.fail(name, "stamps_behind")
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.FRAMES_LOST
+        await asyncio.sleep(0.5)
+        lines = "\n".join(cell.service.event_log.lines)
+        assert "left: its newest frame is 5.0" in lines
+        assert "busy" not in lines
+
+    play(Cell("wrench", 1), scene)
+
+
 def test_cameras_that_stall_on_an_idle_machine_are_named() -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None

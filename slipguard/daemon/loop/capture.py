@@ -111,8 +111,6 @@ class SensorCapture:
         self.counts = FrameCounts()
         self.serial: str | None = None
         """Of the sensor opened last; None before that."""
-        self.received_at_s: float | None = None
-        """Loop time at which the last good frame was received."""
         self.newest_frame: Frame | None = None
         """The last good frame; None while the sensor is gone."""
         self.frames: LatestValue[tuple[Frame, float]] = LatestValue()
@@ -205,7 +203,7 @@ class SensorCapture:
                 if loop.time() - failing_since_s > REOPEN_S:
                     raise
                 continue
-            self.received_at_s = received_at_s = loop.time()
+            received_at_s = loop.time()
             failing_since_s = None
             self._backoff.reset()
             self.counts.frames += 1

@@ -196,8 +196,9 @@ class Finger:
         return FingerHealth(Condition.STUCK, age_s, f"the processing of a frame has not returned for {for_s:.2f} s")
 
     def _receives(self, now_s: float) -> bool:
-        received_at_s = self.capture.received_at_s
-        return received_at_s is not None and now_s - received_at_s <= STALE_S
+        """Return whether frames arrive that are not old on their arrival."""
+        frame = self.capture.newest_frame
+        return frame is not None and abs(now_s - frame.captured_at_s) <= STALE_S
 
     def skip_frames_after(self, peer: Finger, refresh_s: float) -> None:
         """Keep the last estimate while `peer` sees the object unchanged, for at most `refresh_s`."""

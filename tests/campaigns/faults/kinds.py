@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slipguard.perception.declined import DeclineReason
+
 CAMERA_RANK = ("disconnect", "stall", "corrupt", "frozen", "stamps_ahead", "stamps_behind", "light", "mirrored")
 GRIPPER_RANK = ("disconnect", "timeout", "wrong_echo", "late", "fault")
 ARM_RANK = ("disconnect", "timeout", "emergency_stop", "protective_stop", "stuck")
@@ -25,15 +27,15 @@ _CAMERA_WORDS = {
     "frozen": "repeats itself",
     "stamps_ahead": "ahead of the clock",
     "stamps_behind": f"{_OLD} .* old",
-    "light": "unlike the no-contact image",
-    "mirrored": "turn the same way",
+    "light": str(DeclineReason.UNLIKE_BACKGROUND),
+    "mirrored": "rotate the same way",
     "duplicate": "",
 }
 _GRIPPER_WORDS = {
     "disconnect": "no gripper answers|connection is (gone|not open)",
-    "timeout": "no answer|no response",
-    "wrong_echo": "something else than was asked",
-    "late": "newest response is|no answer for|no response for",
+    "timeout": "no response",
+    "wrong_echo": "a response to another request",
+    "late": "newest response is|no response for",
     "fault": "internal fault",
 }
 _ARM_WORDS = {

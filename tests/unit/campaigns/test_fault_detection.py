@@ -186,9 +186,9 @@ def test_only_observable_time_counts_until_the_fault_is_named() -> None:
     one.update(cell, 10.0)
     assert one.observable_s == pytest.approx(0.4)
     cell.alive = True
-    one.read_line("left: no answer")
+    one.read_line("left: no response")
     assert one.named_after_s is None, "another device"
-    one.read_line("gripper: no answer within 50 ms")
+    one.read_line("gripper: no response within 50 ms")
     one.update(cell, 10.0)
     assert one.named_after_s == pytest.approx(0.4)
     assert not one.unnamed
@@ -206,7 +206,7 @@ def test_a_fault_named_too_late_or_never_is_unnamed() -> None:
     late = watched("gripper.timeout", rig())
     late.observable_s = WITHIN_S + 0.02
     assert late.unnamed
-    late.read_line("gripper: no answer within 50 ms")
+    late.read_line("gripper: no response within 50 ms")
     assert late.unnamed
     mended = watched("gripper.timeout", rig())
     mended.active = False
