@@ -1,0 +1,192 @@
+"""Client of slipguard's local API on its Unix socket: requests, and streams of messages. Standard library only."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import http.client
+import json
+import os
+import socket
+import struct
+import threading
+from collections.abc import Callable
+from typing import Any
+
+CONNECT_TIMEOUT_S = 5.0
+STREAM_TIMEOUT_S = 45.0
+"""The daemon sends a ping every 20 s."""
+RETRY_S = 0.5
+MESSAGE_MAX_BYTES = 4 * 1024 * 1024
+TEXT, BINARY, CLOSE, PING, PONG = 1, 2, 8, 9, 10
+
+
+class DaemonUnreachable(Exception):
+    """No daemon responds at the socket; str() says what to do."""
+
+
+class RequestRefused(Exception):
+    """The daemon refused a request; str() is the daemon's reason."""
+
+
+class LocalApi:
+    """socket_path: the daemon's Unix socket, such as /run/slipguard/slipguard.sock."""
+
+    def __init__(self, socket_path: str) -> None:
+        self.socket_path = socket_path
+
+    def state(self) -> dict[str, Any]:
+        """Return the complete state. Raises DaemonUnreachable."""
+        return self._request("GET", "/state", None, 5.0)
+
+    def submit(self, kind: str, fields: dict[str, Any], timeout_s: float = 6.0) -> str:
+        """Send one request, such as `lift`; return the daemon's message.
+
+        Raises:
+            RequestRefused: with the daemon's reason.
+            DaemonUnreachable: if no daemon responds in time.
+        """
+        return str(self._request("POST", f"/{kind}", fields, timeout_s).get("message", ""))
+
+    def open_stream(self, path: str) -> MessageStream:
+        """Open a stream: `/live` or `/frames/{finger}`. Raises DaemonUnreachable."""
+        return MessageStream(self._connect(CONNECT_TIMEOUT_S), path)
+
+    def _request(self, method: str, path: str, fields: dict[str, Any] | None, timeout_s: float) -> dict[str, Any]:
+        connection = http.client.HTTPConnection("slipguard")
+        connection.sock = self._connect(timeout_s)
+        try:
+            body = None if fields is None else json.dumps(fields)
+            connection.request(method, path, body, {"content-type": "application/json"})
+            response = connection.getresponse()
+            content = json.loads(response.read())
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            raise DaemonUnreachable(
+                f"no response to {path} from the daemon at {self.socket_path} within {timeout_s:g} s ({error!r})"
+            ) from None
+        finally:
+            connection.close()
+        if response.status != 200 or not isinstance(content, dict):
+            reason = content.get("error") if isinstance(content, dict) else None
+            raise RequestRefused(reason or f"HTTP {response.status}")
+        return content
+
+    def _connect(self, timeout_s: float) -> socket.socket:
+        made = socket.socket(socket.AF_UNIX)
+        made.settimeout(timeout_s)
+        try:
+            made.connect(self.socket_path)
+        except OSError as error:
+            made.close()
+            hint = "start it with `slipguard run`, or set the parameter `socket`"
+            if isinstance(error, PermissionError):
+                hint = "run the node as root, as the daemon's user, or as a member of the group dialout"
+            raise DaemonUnreachable(f"no daemon at {self.socket_path} ({error.strerror or error}); {hint}") from None
+        return made
+
+
+class MessageStream:
+    """A WebSocket on a connected socket; reads messages, and responds to pings."""
+
+    def __init__(self, connected: socket.socket, path: str) -> None:
+        self._socket = connected
+        self._file = connected.makefile("rb", buffering=64 * 1024)
+        try:
+            self._open(path)
+        except (OSError, ValueError) as error:
+            self.close()
+            raise DaemonUnreachable(f"the stream {path} was not opened ({error})") from None
+
+    def _open(self, path: str) -> None:
+        key = base64.b64encode(os.urandom(16)).decode()
+        self._socket.sendall(
+            f"GET {path} HTTP/1.1\r\nHost: slipguard\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            f"Sec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        status = self._file.readline(1024).decode(errors="replace").strip()
+        while self._file.readline(8192) not in (b"\r\n", b""):
+            pass
+        if " 101 " not in f"{status} ":
+            raise ValueError(status or "the daemon closed the connection")
+        self._socket.settimeout(STREAM_TIMEOUT_S)
+
+    def next(self) -> bytearray:
+        """Wait for the next message, text or binary. Raises OSError or EOFError when the stream has ended."""
+        while True:
+            first, length = self._read(2)
+            if length == 126:
+                (length,) = struct.unpack(">H", self._read(2))
+            elif length == 127:
+                (length,) = struct.unpack(">Q", self._read(8))
+            if length > MESSAGE_MAX_BYTES:
+                raise EOFError(f"a message of {length} bytes; the limit is {MESSAGE_MAX_BYTES}")
+            payload, kind = self._read(length), first & 0x0F
+            if kind in (TEXT, BINARY):
+                return payload
+            if kind == PING:
+                self._pong(payload)
+            elif kind == CLOSE:
+                raise EOFError("the daemon closed the stream")
+
+    def _read(self, size: int) -> bytearray:
+        data = bytearray(size)
+        if self._file.readinto(data) != size:
+            raise EOFError("the daemon closed the connection")
+        return data
+
+    def _pong(self, payload: bytearray) -> None:
+        mask = os.urandom(4)
+        masked = bytes(byte ^ mask[index % 4] for index, byte in enumerate(payload))
+        self._socket.sendall(bytes((0x80 | PONG, 0x80 | len(payload))) + mask + masked)
+
+    def close(self) -> None:
+        """End the stream; a `next` that waits in another thread raises."""
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._socket.close()
+
+
+class StreamThread:
+    """Reads one stream in a thread, and opens it again after a loss.
+
+    on_message: called in the thread with each message. on_lost: called in the thread with the reason of each loss.
+    """
+
+    def __init__(
+        self, api: LocalApi, path: str, on_message: Callable[[bytearray], None], on_lost: Callable[[str], None]
+    ) -> None:
+        self._api, self._path = api, path
+        self._on_message, self._on_lost = on_message, on_lost
+        self._stopped = threading.Event()
+        self._stream: MessageStream | None = None
+        self._thread = threading.Thread(target=self._run, name=f"slipguard {path}", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the stream and wait for the thread."""
+        self._stopped.set()
+        stream = self._stream
+        if stream is not None:
+            stream.close()
+        self._thread.join(timeout=2 * CONNECT_TIMEOUT_S)
+
+    def _run(self) -> None:
+        while not self._stopped.is_set():
+            why = self._read_until_lost()
+            if not self._stopped.is_set():
+                self._on_lost(why)
+                self._stopped.wait(RETRY_S)
+
+    def _read_until_lost(self) -> str:
+        """Pass on messages until the stream ends; return the reason."""
+        try:
+            self._stream = self._api.open_stream(self._path)
+            while not self._stopped.is_set():
+                self._on_message(self._stream.next())
+        except Exception as error:  # no message may end the thread
+            return str(error) or repr(error)
+        finally:
+            if self._stream is not None:
+                self._stream.close()
+                self._stream = None
+        return "stopped"
