@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.devices import Frame
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import StageTimer
 from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes
@@ -37,7 +37,7 @@ ROUGH_PX = 0.2
 """Contour error in network pixels; that of the shipped network is about 0.3."""
 MIN_AREA_PX = 200.0
 SHAPE = ELONGATED["hook"]
-_NO_IMAGE: NDArray[np.uint8] = np.zeros((1, 1, 3), np.uint8)
+_NO_IMAGE: NDArray[np.uint8] = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), np.uint8)
 
 OBJECTS = ("coin", "key")
 """Round with texture, and with an axis. Both are pressed until they differ from their reference."""
