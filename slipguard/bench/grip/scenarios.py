@@ -185,7 +185,7 @@ def _drawn(
     needed_n = gripper.gain * limit_n * _log_uniform(rng, *NEEDED_SHARE)
     weak = WEAK_GRIP_GONE if gone else WEAK_GRIP
     grip = float(rng.uniform(*FIRM_GRIP)) if rng.random() < FIRM_LIFTS else 1.0 / _log_uniform(rng, *weak)
-    first_n = gripper.quantized_force_n(min(needed_n / grip / gripper.gain, limit_n))
+    first_n = gripper.quantized_force_n(min(needed_n / grip / gripper.gain, limit_n - gripper.force_step_n))
     low, high = FRICTION
     friction = _log_uniform(rng, low / (1.0 - FRICTION_DIFFERENCE), high / (1.0 + FRICTION_DIFFERENCE))
     lever_mm = float(rng.uniform(*LEVER_MM[motion]))
