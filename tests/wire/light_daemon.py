@@ -4,17 +4,24 @@
 
 Its log goes to stderr, or to the journal at FOLDER/journal if that exists; FOLDER/slipguard.sock is its API. An object
 lies between the jaws. dead-disk: a write of the state never ends, and the process waits for it for `DEAD_DISK_EXIT_S`.
+The wall clock of the process is ahead by the seconds in FOLDER/clock, which may change at any time.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import sys
 import threading
+import time
 from dataclasses import replace
+from datetime import datetime, timezone, tzinfo
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+
+import structlog
 
 sys.path += [str(Path(__file__).parents[1] / "loop"), str(Path(__file__).parents[1])]
 
@@ -39,6 +46,35 @@ PATIENT: dict[str, object] = {
 
 
 DEAD_DISK_EXIT_S = 3.0
+CLOCK_READ_S = 0.05
+
+
+class SettableClock:
+    """The wall clock of this process, which `set_ahead` sets like an operator or NTP. The monotonic clock goes on."""
+
+    def __init__(self) -> None:
+        self.ahead_s, now_s, now_ns, clock = 0.0, time.time, time.time_ns, self
+
+        class SetDatetime(datetime):
+            @classmethod
+            def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
+                return datetime.fromtimestamp(time.time(), tz)
+
+        time.time = lambda: now_s() + clock.ahead_s
+        time.time_ns = lambda: now_ns() + round(1e9 * clock.ahead_s)
+        for module in [*sys.modules.values()]:
+            if module.__name__.startswith("slipguard") and getattr(module, "datetime", None) is datetime:
+                module.datetime = SetDatetime  # type: ignore[attr-defined]
+        structlog.processors.datetime = SimpleNamespace(  # type: ignore[assignment]
+            datetime=SetDatetime, timezone=timezone
+        )
+
+    async def follow(self, file: Path) -> None:
+        """Follow what the file says, until cancelled."""
+        while True:
+            with contextlib.suppress(OSError, ValueError):
+                self.ahead_s = float(file.read_text())  # noqa: ASYNC240 - a small file of a test
+            await asyncio.sleep(CLOCK_READ_S)
 
 
 def main(folder: Path, state: Path, *, dead_disk: bool) -> None:
@@ -64,8 +100,9 @@ def main(folder: Path, state: Path, *, dead_disk: bool) -> None:
         assert cell.world is not None
         drawn = scenario("wrench", 1)
         cell.world.place(replace(drawn, left=replace(drawn.left, fps=60.0)), asyncio.get_running_loop().time())
-        await asyncio.Event().wait()
+        await clock.follow(folder / "clock")
 
+    clock = SettableClock()
     asyncio.run(run.run(config, bind_api, build=build, extra_task=place, on_stop=exit_if_stuck))
 
 

@@ -12,8 +12,10 @@ import subprocess
 import sys
 import termios
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,15 @@ import pytest
 from cell_rig import patiently, pause, until, wait_for
 
 from slipguard.daemon.api.client import Client
-from slipguard.daemon.api.requests import ClearRequest, GraspRequest, GuardRequest, LiftRequest, ReleaseRequest
+from slipguard.daemon.api.requests import (
+    ClearRequest,
+    GraspRequest,
+    GuardRequest,
+    LiftRequest,
+    LowerRequest,
+    ReleaseRequest,
+)
+from slipguard.daemon.store.state_dir import LastGrasp
 from slipguard.errors import CommandRefused, SlipguardError
 
 PROGRAM = Path(__file__).with_name("light_daemon.py")
@@ -192,6 +202,42 @@ def test_a_state_folder_that_cannot_be_written_is_reported_and_the_guard_goes_on
         until(lambda: log.has("the grip could not be saved for a restart"), "not reported", lambda: log._text)
         until(lambda: log.has("recording stopped: "), "not reported", lambda: log._text)
         assert daemon.state()["fault"] is None
+        assert daemon.stop() == 0
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("ahead_s", [3600.0, -3600.0])
+def test_a_clock_that_is_set_by_an_hour_changes_nothing(ahead_s: float, tmp_path: Path) -> None:
+    """Twice: while the object is held, and while it is lifted and slips."""
+    clock = tmp_path / "clock"
+    set_hour = f"{datetime.fromtimestamp(time.time() + ahead_s, UTC):%Y-%m-%dT%H}:"
+    with running(tmp_path) as (daemon, log):
+        daemon.grasp()
+        clock.write_text(str(ahead_s))
+
+        def clock_is_set() -> bool:
+            daemon.client.submit(GuardRequest(on=True))  # is logged, with the time
+            return log.has(f'"timestamp": "{set_hour}')
+
+        until(clock_is_set, "the clock is not set", lambda: log._text, every_s=0.5)
+        before_n = daemon.state()["target_force_n"]
+        patiently(lambda: daemon.client.submit(LiftRequest(height_mm=60.0)))
+        wait_for(daemon.client, lambda state: state["arm"]["height_mm"] > 5.0, "not lifting")
+        clock.write_text("0")
+        state = wait_for(daemon.client, lambda s: s["phase"] == "holding" and s["arm"]["height_mm"] > 55.0, "no lift")
+        assert state["target_force_n"] > before_n, "slip was not answered"
+        assert [name for name, finger in state["fingers"].items() if not finger["age_s"] < 1.0] == []
+        clock.write_text(str(-ahead_s))
+        patiently(lambda: daemon.client.submit(LowerRequest()))
+        wait_for(daemon.client, lambda s: s["phase"] == "holding" and s["arm"]["height_mm"] < 5.0, "not lowered")
+        saved = LastGrasp.model_validate_json((tmp_path / "state" / "last_grasp.json").read_bytes())
+        assert saved.outdated() is None, "a restart would use the grip"
+        daemon.client.submit(ReleaseRequest(confirm=True))
+        wait_for(daemon.client, lambda state: state["phase"] == "idle", "not released")
+        state = daemon.state()
+        assert (state["fault"], state["waiting_for"]) == (None, [])
+        warnings = [event["text"] for event in state["events"] if event["level"] == "warning"]
+        assert not [text for text in warnings if not text.startswith("slip: ")], "only slip is reported"
         assert daemon.stop() == 0
 
 
