@@ -281,7 +281,9 @@ def agree(state: GripperState, truth: Truth) -> bool:
         return False
     if truth.ready and truth.going and view.moving and not state.moving:
         return False
-    if state.moving and not truth.going:
+    if not truth.ready and view.moving and not state.moving:
+        return False  # an activation
+    if truth.ready and state.moving and not truth.going:
         return False
     if truth.ready and not view.moving and view.holds and not (state.holding or state.moving):
         return False

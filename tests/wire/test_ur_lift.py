@@ -56,7 +56,7 @@ def saw_no_program(arm: LiftModeArm) -> bool:
 
 async def test_the_watchdog_is_armed_before_anything_moves(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
-    assert script_commands(controller)[:2] == ["watchdog at 2 Hz", "movel in a thread"]
+    assert script_commands(controller)[:3] == ["watchdog at 2 Hz", "pose_trans", "movel in a thread"]
 
 
 async def test_the_worker_does_not_inherit_a_special_priority(controller: UrEmulator) -> None:
