@@ -12,6 +12,7 @@ from dataclasses import replace
 from slipguard.control.messages import LiftArm, Observation, StepOutput, StopArm
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode, Text
+from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Phase
 from slipguard.devices import ArmState
 
@@ -109,7 +110,8 @@ def continue_down(state: GraspState, observation: Observation, output: StepOutpu
         return state, output
     way_mm = goal_mm - arm.height_mm
     if way_mm > -REACHED_MM:
-        return done, output.with_messages(Text.PUT_DOWN.message())
+        held = replace(done.held, memory=SlipMemory(), slip=None)  # it lies as it lies: that is the new rest
+        return replace(done, held=held), output.with_messages(Text.PUT_DOWN.message())
     return _commanded(state, observation), replace(output, arm=_leg_down(way_mm, params))
 
 

@@ -215,8 +215,10 @@ def _aligned(one: _Rotation, other: _Rotation) -> tuple[list[_Rotation], list[st
     older, newer = sorted((one, other), key=lambda rotation: rotation.captured_at_s)
     gap_s = newer.captured_at_s - older.captured_at_s
     rate_deg_s = older.rate_deg_s if newer.rate_deg_s is None else newer.rate_deg_s
-    if gap_s > GAP_MAX_S or (gap_s > 0.0 and rate_deg_s is None):
+    if gap_s > GAP_MAX_S:
         return [newer], [f"{older.finger} finger: {1e3 * gap_s:.0f} ms behind"]
+    if gap_s > 0.0 and rate_deg_s is None:
+        return [newer], [f"{older.finger} finger: older, and its rate is unknown"]
     moved_deg = -gap_s * (rate_deg_s or 0.0)
     back = replace(newer, rotation_deg=newer.rotation_deg + moved_deg, captured_at_s=older.captured_at_s)
     return [back if rotation is newer else rotation for rotation in (one, other)], []

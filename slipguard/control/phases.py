@@ -194,9 +194,10 @@ def _report_other_faults(
 ) -> Result:
     """Report what else is wrong while a fault is latched, once for each time."""
     wrong = {fault.code: fault for fault in (*observation.faults, found) if fault is not None}
+    latched = {state.fault.code} if state.fault is not None else set()
     new = [fault.message() for code, fault in wrong.items() if code not in state.reported.faults]
     output = replace(output, is_warning=output.is_warning or bool(new)).with_messages(*new)
-    return replace(state, reported=replace(state.reported, faults=frozenset(wrong))), output
+    return replace(state, reported=replace(state.reported, faults=frozenset(wrong) | latched)), output
 
 
 # --- what was held before a restart ---

@@ -143,6 +143,7 @@ class FaultCode(StrEnum):
     TIGHTENING_INEFFECTIVE = "tightening has no effect"
     FORCE_LIMIT_REACHED = "force limit reached"
     ROTATED_TOO_FAR = "rotated too far"
+    NOT_SETTLED = "not settled"
     OBJECT_LOST = "object lost"
 
 

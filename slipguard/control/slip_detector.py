@@ -236,7 +236,7 @@ def _rotation(
     rotation_deg = abs(away_deg)
     rate_deg_s = math.copysign(1.0, away_deg) * (fused.rate_deg_s or 0.0)
     if only_outward and abs(fused.rotation_deg) <= abs(episode_deg):
-        return rotation_deg, 0.0, False
+        return 0.0, 0.0, False
     least_deg = threshold_deg(fused.sigma_deg, memory.rotations, params)
     creep_deg = tuning.creep_deg * growth(memory.rotations, params)
     if memory.arm.case is ArmCase.MOVING:

@@ -31,6 +31,10 @@ CREPT_MM = 0.5
 BEYOND_LIMIT_DEG = 5.0
 BEYOND_LIMIT_MM = 1.0
 """At the force limit and with the arm stopped, this much further motion is no elastic torsion."""
+AT_LIMIT_DEG = 25.0
+"""Rotation at the force limit adds up over all pauses of the arm: a soft gel at that force twists less than this."""
+UNSETTLED_S = 5.0
+"""Slip that has neither settled nor been answered for this time never will: something shakes the object."""
 RATE_LAG_S = 0.05
 """A rate is the slope of a tenth of a second."""
 DELAY_MAX_S = 0.5
@@ -74,15 +78,19 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
         arm=observation.arm,
         borne_deg=borne_deg,
         again_deg=TORSION_ON_TABLE_DEG if at_limit else max(AGAIN_DEG, AGAIN_SHARE * borne_deg),
-        only_outward=state.phase is Phase.LOWERING,
+        only_outward=state.phase is Phase.LOWERING or state.arm.putting_down,
     )
     slip = held.slip
     if slip is not None and seen.memory.counts_from_elsewhere(held.memory):
         slip = _progress_from(slip, seen)
     state = replace(state, held=replace(held, memory=seen.memory, slip=slip))
+    state = _follow_at_limit(state, observation, at_limit=at_limit)
     far_frames = 1 if slip is not None and seen.moving else params.tuning.confirm_frames
     if held.referenced and seen.memory.far_frames >= far_frames:
         return _give_up(state, seen, observation, params)
+    if _rotated_at_limit(state, observation, params):
+        what = f"rotated from {abs(state.held.at_limit_deg or 0.0):.0f}° to {observation.rotation_deg:.0f}°"
+        return SlipResponse(state, stop_arm=True, fault=_limit_reached(state, what, params))
     if slip is None:
         if seen.slipping:
             return _begin(state, seen, observation, params)
@@ -91,6 +99,8 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
         memory = seen.memory.after_episode(rotated=slip.rotates, translated=slip.translates, raised=slip.raised)
         state = replace(state, held=replace(state.held, memory=memory, slip=None))
         return SlipResponse(state, message=Text.SETTLED.message(force_n=state.grip.target_n))
+    if observation.now_s - slip.tightened_s >= UNSETTLED_S:
+        return SlipResponse(state, stop_arm=True, fault=_never_settled(state, seen))
     return _go_on(state, slip, seen, observation, params)
 
 
@@ -117,7 +127,7 @@ def _go_on(
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     if force_range is None or state.grip.target_n >= force_range.high_n:
         beyond = rotated_deg > BEYOND_LIMIT_DEG or moved_mm > BEYOND_LIMIT_MM
-        return replace(wait, fault=_limit_reached(state, seen, params)) if at_rest and beyond else wait
+        return replace(wait, fault=_limit_reached(state, seen.what, params)) if at_rest and beyond else wait
     slows = seen.rate_deg_s < SLOWING * slip.rate_deg_s and seen.slip_rate_mm_s < params.tuning.slip_rate_mm_s
     late = observation.rotation_deg > LATE_SHARE * params.tuning.rotation_max_deg
     if slows and not late:  # the step works; from here on it counts whether it goes on slowing down
@@ -228,10 +238,41 @@ def _no_force(state: GraspState, observation: Observation) -> bool:
     return state.person.forbids_force or (gripper is not None and gripper.closed_on_nothing)
 
 
-def _limit_reached(state: GraspState, seen: SlipAssessment, params: GuardParams) -> Fault:
+def _follow_at_limit(state: GraspState, observation: Observation, *, at_limit: bool) -> GraspState:
+    """Return the state with the rotation at which the gripper first held with the force limit."""
+    fused, gripper, from_deg = observation.fused, observation.gripper, state.held.at_limit_deg
+    if not at_limit:
+        return state if from_deg is None else replace(state, held=replace(state.held, at_limit_deg=None))
+    if from_deg is not None or fused is None or fused.rotation_deg is None:
+        return state
+    if gripper is None or not gripper_at_rest(state, gripper):
+        return state
+    return replace(state, held=replace(state.held, at_limit_deg=fused.rotation_deg))
+
+
+def _rotated_at_limit(state: GraspState, observation: Observation, params: GuardParams) -> bool:
+    """Return whether the object has rotated outwards too far since the gripper first held with the force limit."""
+    fused, from_deg = observation.fused, state.held.at_limit_deg
+    if from_deg is None or fused is None or fused.rotation_deg is None or fused.conflict is not None:
+        return False
+    outward = abs(fused.rotation_deg) > abs(from_deg)
+    return outward and abs(fused.rotation_deg - from_deg) > AT_LIMIT_DEG + uncertainty_deg(
+        fused.sigma_deg or 0.0, params
+    )
+
+
+def _never_settled(state: GraspState, seen: SlipAssessment) -> Fault:
+    return Fault(
+        FaultCode.NOT_SETTLED,
+        f"not at rest for {UNSETTLED_S:g} s after slip ({seen.what}) at {state.grip.target_n:.0f} N",
+        "find what shakes the object or the arm, then clear",
+    )
+
+
+def _limit_reached(state: GraspState, what: str, params: GuardParams) -> Fault:
     return Fault(
         FaultCode.FORCE_LIMIT_REACHED,
-        f"{seen.what} at {state.grip.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
+        f"{what} at {state.grip.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
         "support the object, lower it or release it; raise force_max_n if object and gel allow it",
     )
 

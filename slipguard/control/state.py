@@ -115,6 +115,7 @@ class HeldObject:
         referenced: its rotation was estimated when it was gripped; no_estimate: else the reason.
         memory: of the slip detector. slip: the present episode.
         lost_since_s: since when it seems to be lost.
+        at_limit_deg: rotation when the gripper first held with the force limit; None: it does not.
         friction: estimated at its first slip; None: not yet. gel_learned: this grasp has shown the gel's stiffness.
     """
 
@@ -123,6 +124,7 @@ class HeldObject:
     memory: SlipMemory = field(default_factory=SlipMemory)
     slip: SlipEpisode | None = None
     lost_since_s: float | None = None
+    at_limit_deg: float | None = None
     friction: LogNormal | None = None
     gel_learned: bool = False
 

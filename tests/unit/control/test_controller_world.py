@@ -11,6 +11,7 @@ from records import changed, released_mm
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.gripper_plant import GripperDynamics
@@ -151,6 +152,21 @@ def test_a_soft_gel_twisted_at_the_force_limit_stops_the_lift_a_few_times_at_mos
     assert run.peak_deg > 8.0
     assert tightenings(run) == 0
     assert 1 <= sum("is the force limit" in said for said in run.says) <= 4
+
+
+@pytest.mark.parametrize("gel", [STIFF, SOFT], ids=["stiff", "soft"])
+def test_an_object_that_the_force_limit_cannot_hold_is_reported_and_put_down(gel: SoftPad) -> None:
+    """It needs twice the limit. Each pause rests its far end on the table, but its rotation at full force adds up."""
+    lower = guard_params(on_force_limit="lower")
+    run = grasp_and_lift(placed(bar(240.0, gel, 80.0, 0.33), Scenario("bar", gel=gel), lower), hold_s=6.0)
+    assert run.guard.grasp.fault is not None
+    assert run.guard.grasp.fault.code is FaultCode.FORCE_LIMIT_REACHED
+    truth = run.world.truth(run.now_s)
+    assert truth.dropped is None
+    assert truth.height_mm == pytest.approx(0.0, abs=1.0)
+    said = "; ".join(run.says)
+    assert said.count("force limit reached: ") == 1
+    assert "slip: " not in said.split("put down where")[1]
 
 
 def test_lowered_and_released_on_the_table() -> None:

@@ -14,6 +14,7 @@ from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.messages import Condition, FingerHealth, Observation, RequestKind, StepOutput, StopArm
 from slipguard.control.release import OPEN_ANYWAY_S
 from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.slip_response import UNSETTLED_S
 from slipguard.control.state import AT_STAKE, GraspState, Phase, SlipEpisode
 from slipguard.control.supervisor import Supervision
 
@@ -72,6 +73,11 @@ EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
         lambda view, since_s: changed(view, fused=fused(50.0 + 60.0 * since_s, 60.0, at_s=view.now_s)),
         SEEN,
         {"slip": SLIPS},
+    ),
+    FaultCode.NOT_SETTLED: (
+        lambda view, since_s: changed(view, fused=fused(3.0 + 6.0 * (round(since_s / TICK_S) % 2), 0.0, at_s=view.now_s)),
+        SEEN,
+        {"slip": changed(SLIPS, tightened_s=NOW_S - UNSETTLED_S + 0.2), "target_n": 129.61},
     ),
     FaultCode.OBJECT_LOST: (
         lambda view, _: changed(view, gripper=gripper(40.0, holding=False, nothing=True, at_s=view.now_s)),

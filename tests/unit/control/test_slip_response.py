@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
-from controller_steps import NOW_S, PARAMS, PRIMED, seen_in, state_in
+from controller_steps import NOW_S, PARAMS, PRIMED, Play, seen_in, state_in
 from observations import arm, fused, gripper, guard_params
 from records import changed
 
@@ -12,7 +14,7 @@ from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode
 from slipguard.control.slip_memory import ArmCase, SlipMemory
-from slipguard.control.slip_response import SlipResponse, respond_to_slip
+from slipguard.control.slip_response import UNSETTLED_S, SlipResponse, respond_to_slip
 from slipguard.control.state import GraspState, GripperDelay, Phase, SlipEpisode
 
 DELAY_S = 0.25
@@ -360,3 +362,58 @@ def test_only_the_first_slip_shows_friction_and_gel() -> None:
     assert first.emptied(Phase.IDLE, NOW_S).gel == first.gel
     weightless = respond(state(target_n=0.0), view(7.0, 60.0)).state
     assert (weightless.held.friction, weightless.gel) == (None, STIFFNESS_PRIOR)
+
+
+# --- waits end ---
+
+
+@pytest.mark.parametrize("amplitude", [{"rotation_deg": 1.2}, {"shift_mm": 0.35}], ids=["rotation", "shift"])
+def test_slip_that_never_settles_is_a_fault_after_five_seconds(amplitude: dict[str, float]) -> None:
+    """Vibration of 13 Hz after a slip."""
+    play = Play().held()
+    play.slips(4.0, 60.0)
+    rest = changed(play.view, rate_deg_s=0.0)
+    for number in range(350):
+        phase = math.sin(2.0 * math.pi * 13.0 * 0.02 * number)
+        moved = {"rotation_deg": 4.0 + phase * amplitude.get("rotation_deg", 0.0)}
+        play.view = changed(rest, **moved, shift_mm=phase * amplitude.get("shift_mm", 0.0))
+        if play.step().fault is not None:
+            break
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.NOT_SETTLED
+    assert number * 0.02 == pytest.approx(UNSETTLED_S, abs=0.1)
+
+
+def test_rotation_at_the_force_limit_adds_up_over_pauses() -> None:
+    play = Play(guard_params(force_max_n=60.0, no_estimate_force_n=60.0, first_force_n=60.0)).held()
+    for rest_deg in (7.0, 14.0, 21.0, 28.0):
+        assert play.grasp.fault is None
+        play.slips(rest_deg, 20.0)
+        play.view = changed(play.view, rate_deg_s=0.0)
+        play.steps(1.0)
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.FORCE_LIMIT_REACHED
+    assert "from 0° to 28°" in str(play.grasp.fault)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"rotation_deg": -15.0}, {"rotation_deg": None, "declined": "round contact"}, {"conflict": "one is stuck"}],
+    ids=["back", "no estimate", "contradiction"],
+)
+def test_only_certain_rotation_outwards_adds_up(changes: dict[str, object]) -> None:
+    grasp = state(target_n=129.61, at_limit_deg=15.5, commanded_s=float("-inf"))
+    observation = view(41.0)
+    assert respond(grasp, observation).fault is not None
+    other = fused(**({"rotation_deg": 41.0, "at_s": NOW_S} | changes))
+    assert respond(grasp, changed(observation, fused=other)).fault is None
+
+
+def test_the_rotation_at_the_force_limit_counts_from_the_first_rest_there() -> None:
+    at_limit = state(target_n=129.61, commanded_s=float("-inf"))
+    assert respond(at_limit, view(0.2)).state.held.at_limit_deg == 0.2
+    for missing in ({"gripper": None}, {"gripper": gripper(FORCE_LIMIT_N, moving=True, at_s=NOW_S)}):
+        assert respond(at_limit, view(0.2, **missing)).state.held.at_limit_deg is None
+    blind = view(None, fused=fused(None, declined="round contact", at_s=NOW_S))
+    assert respond(at_limit, blind).state.held.at_limit_deg is None
+    assert respond(state(target_n=40.0, at_limit_deg=3.0), view(0.2)).state.held.at_limit_deg is None

@@ -52,7 +52,7 @@ def test_without_any_rate_the_older_finger_is_ignored() -> None:
     assert fused is not None
     assert fused.rotation_deg == pytest.approx(30.0)
     assert fused.fingers == ("right",)
-    assert fused.note == "left finger: 50 ms behind"
+    assert fused.note == "left finger: older, and its rate is unknown"
 
 
 @pytest.mark.parametrize("beyond", [3e38, -3e38, math.inf, -math.inf, math.nan])
