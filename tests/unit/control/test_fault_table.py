@@ -75,8 +75,8 @@ EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
         {"slip": SLIPS},
     ),
     FaultCode.NOT_SETTLED: (
-        lambda view, since_s: changed(view, fused=fused(3.0 + 6.0 * (round(since_s / TICK_S) % 2), 0.0, at_s=view.now_s)),
-        SEEN,
+        lambda view, since_s: changed(view, fused=fused(3.0 + 6.0 * (round(since_s / TICK_S) % 2), at_s=view.now_s)),
+        GUARDED,
         {"slip": changed(SLIPS, tightened_s=NOW_S - UNSETTLED_S + 0.2), "target_n": 129.61},
     ),
     FaultCode.OBJECT_LOST: (
