@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,12 +24,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def daemon(folder: Path) -> Iterator[SimulatedDaemon]:
-    """`slipguard run --sim`, calibrated. SLIPGUARD names the program."""
-    program = os.environ.get("SLIPGUARD") or shutil.which("slipguard")
-    if program is None:
-        pytest.exit("slipguard was not found; set SLIPGUARD to its path, such as .venv/bin/slipguard", 2)
-    with SimulatedDaemon(program, folder) as running:
+def slipguard_python() -> str:
+    """Return the interpreter of slipguard's environment, from SLIPGUARD_PYTHON."""
+    python = os.environ.get("SLIPGUARD_PYTHON")
+    if python is None:
+        pytest.exit("set SLIPGUARD_PYTHON to the Python of slipguard's environment, such as .venv/bin/python", 2)
+    return python
+
+
+@pytest.fixture(scope="session")
+def daemon(folder: Path, slipguard_python: str) -> Iterator[SimulatedDaemon]:
+    """A daemon, calibrated."""
+    with SimulatedDaemon(slipguard_python, folder) as running:
         running.api.submit("calibrate", {}, 40.0)
         yield running
 

@@ -15,6 +15,7 @@ from typing import Any
 from slipguard_ros.local_api import DaemonUnreachable, LocalApi, RequestRefused
 
 START_TIMEOUT_S = 60.0
+LIGHT_DAEMON = Path(__file__).resolve().parents[3] / "tests" / "wire" / "light_daemon.py"
 CONFIG = """
 [state]
 directory = "{folder}/state"
@@ -40,14 +41,22 @@ def wait_until(reached: Callable[[], bool], what: str, within_s: float = 30.0) -
 
 
 class SimulatedDaemon:
-    """`slipguard run --sim` on a socket of its own."""
+    """The daemon with simulated devices, on a socket of its own.
 
-    def __init__(self, program: str, folder: Path) -> None:
+    python: the interpreter of slipguard's environment. rendered: `slipguard run --sim`, with rendered and segmented
+    images; otherwise images cost nothing, so that a busy machine does not matter.
+    """
+
+    def __init__(self, python: str, folder: Path, rendered: bool = False) -> None:
         self.socket = str(folder / "slipguard.sock")
         self.recordings = folder / "state" / "recordings"
         self.api = LocalApi(self.socket)
-        self._program, self._folder = program, folder
+        self._folder = folder
+        self._command = [python, str(LIGHT_DAEMON), str(folder), str(folder / "state")]
+        if rendered:
+            self._command = [python, "-m", "slipguard", "run", "--sim", "--config", str(folder / "config.toml")]
         self._process: subprocess.Popen[bytes] | None = None
+        (folder / "state").mkdir(exist_ok=True)
         (folder / "config.toml").write_text(CONFIG.format(folder=folder, socket=self.socket))
 
     def __enter__(self) -> SimulatedDaemon:
@@ -61,8 +70,7 @@ class SimulatedDaemon:
         """Start it and wait until all devices are ready."""
         environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         with (self._folder / "daemon.log").open("ab") as log:
-            command = [self._program, "run", "--sim", "--config", str(self._folder / "config.toml")]
-            self._process = subprocess.Popen(command, stdout=log, stderr=log, env=environment)
+            self._process = subprocess.Popen(self._command, stdout=log, stderr=log, env=environment)
 
         def ready() -> bool:
             assert self._process is not None

@@ -135,7 +135,7 @@ def test_grasp_lift_slip_release_through_services(daemon: SimulatedDaemon, node:
     assert not daemon.state()["guarding"]
     assert ros.call("guard", data=True).success
     ros.received.clear()
-    assert ros.call("lift").success
+    wait_until(lambda: bool(ros.call("lift").success), "the grip is firm enough to lift")
     daemon.wait_for("lifting")
     daemon.wait_for("holding", 60.0)
     states = [json.loads(message.data) for _, _, message in ros.received[STATE]]

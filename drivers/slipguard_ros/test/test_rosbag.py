@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import subprocess
 import sys
 import time
@@ -53,6 +54,8 @@ def test_a_recording_becomes_a_bag(daemon: SimulatedDaemon, tmp_path: Path, stor
     assert counts["/slipguard/tick"] > 50
     assert newest["/slipguard/left/image_raw/compressed"].format == "jpeg"
     assert bytes(newest["/slipguard/left/image_raw/compressed"].data[:2]) == b"\xff\xd8"
-    assert newest["/slipguard/joint_states"].effort[0] == pytest.approx(40.0, abs=1.0)
+    gripper = json.loads(newest["/slipguard/tick"].data)["observation"]["gripper"]
+    assert newest["/slipguard/joint_states"].effort[0] == gripper["force_n"]
+    assert newest["/slipguard/joint_states"].position[0] == pytest.approx(gripper["width_mm"] / 1000.0)
     again = subprocess.run([sys.executable, "-m", "slipguard_ros.rosbag", *words], capture_output=True, text=True)
     assert (again.returncode, "exists" in again.stderr) == (1, True)
