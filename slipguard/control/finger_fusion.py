@@ -45,6 +45,7 @@ class FusedEstimate:
         sigma_deg: one standard deviation, wider if the fingers disagree; None exactly if rotation_deg is None.
         rate_deg_s: of the rotation.
         shift_mm: downwards since the reference, mean of the fingers that know it.
+        slides: no finger knows the shift, and one sees that the object slides.
         conflict: the fingers contradict each other, so only the one with the larger rotation is used.
         note: what is worth reporting although there is an estimate.
         declined: why there is none.
@@ -63,6 +64,7 @@ class FusedEstimate:
     note: str | None = None
     declined: str | None = None
     newest_at_s: float = -math.inf
+    slides: bool = False
 
     @property
     def both_touch(self) -> bool:
@@ -113,6 +115,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         measured_at_s=min(estimate.measured_at_s for estimate in given),
         newest_at_s=max(estimate.measured_at_s for estimate in given),
         shift_mm=sum(shifts_mm) / len(shifts_mm) if shifts_mm else None,
+        slides=not shifts_mm and any(estimate.slides for estimate in given),
     )
     if not rotations:
         return replace(base, declined="; ".join(notes))
@@ -151,6 +154,7 @@ def _checked(estimate: Estimate | None) -> Estimate | None:
         sigma_deg=None,
         rate_deg_s=None,
         shift_mm=None,
+        slides=False,
         unconfirmed=None,
         declined="not a number",
     )

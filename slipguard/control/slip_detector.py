@@ -45,7 +45,7 @@ class SlipAssessment:
     Args:
         memory: the memory after it.
         rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
-        slip_mm, slip_rate_mm_s: downwards from that baseline.
+        slip_mm, slip_rate_mm_s: downwards from that baseline. slides: by an unknown distance.
         moving: one of the rates is that of slip.
         rotates, translates: this frame shows rotational or translational slip.
         slipping: slip is confirmed by enough frames.
@@ -57,6 +57,7 @@ class SlipAssessment:
     rate_deg_s: float = 0.0
     slip_mm: float = 0.0
     slip_rate_mm_s: float = 0.0
+    slides: bool = False
     moving: bool = False
     rotates: bool = False
     translates: bool = False
@@ -67,6 +68,8 @@ class SlipAssessment:
     def what(self) -> str:
         """The motion in words, with values."""
         rotation = f"rotated {self.rotation_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
+        if self.slides:
+            return f"{rotation}, slides by an unknown distance"
         return f"{rotation}, moved {self.slip_mm:.1f} mm" if self.slip_mm > SETTLED_SHIFT_MM else rotation
 
 
@@ -103,6 +106,8 @@ def assess_slip(
     fast = rate_mm_s >= tuning.slip_rate_mm_s
     times = growth(memory.translations, params)
     translates = slip_mm > tuning.slip_mm * times and (fast or slip_mm > tuning.creep_mm * times)
+    slides = fused.slides and not only_outward
+    translates = translates or slides
     if is_new:
         memory = _count(memory, fused, rotates or rests_further_out or translates, quick_frames, params)
     settled_since_s = memory.baselines.settled_since_s
@@ -112,7 +117,8 @@ def assess_slip(
         rate_deg_s=rate_deg_s,
         slip_mm=slip_mm,
         slip_rate_mm_s=rate_mm_s,
-        moving=rate_deg_s >= tuning.slip_rate_deg_s or fast,
+        slides=slides,
+        moving=rate_deg_s >= tuning.slip_rate_deg_s or fast or slides,
         rotates=rotates or rests_further_out or quick_frames > 0,
         translates=translates,
         slipping=memory.frames >= tuning.confirm_frames,

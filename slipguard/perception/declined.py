@@ -10,7 +10,7 @@ from enum import StrEnum
 
 
 class DeclineReason(StrEnum):
-    """Why there is no rotation."""
+    """Why there is no rotation, or no shift."""
 
     NO_CONTACT = "no contact"
     NO_REFERENCE = "no reference yet"
@@ -29,6 +29,8 @@ class DeclineReason(StrEnum):
     JUMP = "implausible jump"
     REGAINED = "rotation after a gap not confirmed yet"
     SEVERAL_ROTATIONS = "texture fits at several rotations"
+    SHIFT_AMBIGUOUS = "periodic texture, shift ambiguous"
+    SHIFT_INVISIBLE = "smooth shaft without a visible end, shift along it not visible"
     NOT_A_NUMBER = "not a number"
     UNLIKE_BACKGROUND = "image unlike the background image"
     OUT_OF_FOCUS = "image out of focus"

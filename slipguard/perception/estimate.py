@@ -44,7 +44,9 @@ class Estimate:
     sigma_deg: one standard deviation of `rotation_deg`; None exactly where `rotation_deg` is None.
     orientation_deg: axial orientation now, in (-90, 90].
     rate_deg_s: filtered rotation rate; None if unknown.
-    shift_mm: (right, up) of the patch center since the reference; None before it.
+    shift_mm: (right, up) of the patch center since the reference; None before it, or if `shift_declined`.
+    shift_declined: None, or why the shift is unknown.
+    slides: the object slides by an unknown distance: its periodic texture moves.
     contact_area_px: in frame pixels (240 x 320).
     measured_at_s: capture time of the measured frame; older than `captured_at_s` after a skip.
     skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
@@ -63,10 +65,17 @@ class Estimate:
     orientation_deg: float | None = None
     rate_deg_s: float | None = None
     shift_mm: tuple[float, float] | None = None
+    shift_declined: str | None = None
+    slides: bool = False
     skipped: str | None = None
     declined: str | None = None
     unconfirmed: UnconfirmedRotation | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def has_reference(self) -> bool:
+        """Whether the frame was compared with a reference."""
+        return self.shift_mm is not None or self.shift_declined is not None
 
     @property
     def decline_reason(self) -> str | None:

@@ -16,7 +16,7 @@ from slipguard.errors import FrameCorrupt, FrameTorn, InputError
 from slipguard.perception.contact.change_detector import ChangeDetector
 from slipguard.perception.contact.gate import Blocks, ContactGate, block_means, blocks_near
 from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import Estimate, StageTimer
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import ImageQuality
@@ -25,6 +25,7 @@ from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import AxisEstimation, fuse_axes
 from slipguard.perception.rotation.fusion import widen_for_light
 from slipguard.perception.rotation.rotation_meter import RotationMeter
+from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
 
@@ -183,6 +184,7 @@ class Pipeline:
         if not had_reference:
             self._reference_difference_levels = quality.difference_levels
         rotation = widen_for_light(measurement.rotation, quality.difference_levels - self._reference_difference_levels)
+        shift = measurement.shift
         axis_deg = fuse_axes(list(measurement.axes.values())).angle_deg
         estimate = Estimate(
             sequence=frame.sequence,
@@ -195,7 +197,9 @@ class Pipeline:
             sigma_deg=rotation.sigma_deg,
             orientation_deg=None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg),
             rate_deg_s=None if rotation.rotation_deg is None else self._meter.rate_deg_s(now_s),
-            shift_mm=None if measurement.shift_px is None else self._shift_mm(measurement.shift_px),
+            shift_mm=None if shift is None or shift.shift_px is None else self._shift_mm(shift.shift_px),
+            shift_declined=None if shift is None else self._shift_declined(shift),
+            slides=shift is not None and shift.slides,
             declined=None if rotation.declined is None else str(rotation.declined),
             unconfirmed=rotation.unconfirmed,
             stage_ms=timer.stage_ms,
@@ -285,6 +289,13 @@ class Pipeline:
         self._measured = None
         if self._changes is not None:
             self._changes.reset()
+
+    def _shift_declined(self, shift: ShiftMeasurement) -> str | None:
+        if shift.invisible:
+            return str(DeclineReason.SHIFT_INVISIBLE)
+        if shift.period_px is None:
+            return None
+        return explain(DeclineReason.SHIFT_AMBIGUOUS, f"by {shift.period_px / self._px_per_mm:.2f} mm")
 
     def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Convert frame pixels right and down to millimeters right and up, corrected for the mounting."""

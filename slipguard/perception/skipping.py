@@ -53,7 +53,7 @@ def second_finger_can_skip(
     """
     if own is None or other is None or not (own.contact and other.contact):
         return False
-    if other.skipped != UNCHANGED or other.sigma_deg is None or own.shift_mm is None:
+    if other.skipped != UNCHANGED or other.sigma_deg is None or not own.has_reference:
         return False
     if own.sigma_deg is not None and own.sigma_deg < other.sigma_deg:
         return False

@@ -97,6 +97,8 @@ class ResumingPipeline:
                 sigma_deg=None,
                 rate_deg_s=None,
                 shift_mm=None,
+                shift_declined=None,
+                slides=False,
                 declined=declined,
                 unconfirmed=None,
             )

@@ -24,6 +24,7 @@ from slipguard.perception.rotation.fusion import (
 )
 from slipguard.perception.rotation.gel_contour import GelContour
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
+from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker
@@ -42,8 +43,9 @@ SECOND_START_DEG = 4.0
 class Reference:
     """What rotations are measured against. axes: by estimator. Center in frame pixels.
 
-    image: the reference frame, (320, 240, 3) uint8. texture: tracks the texture in the contact; None without a
-    background image, or if the contact has too little texture. contour: recognizes a contour that is the gel's own.
+    image: the reference frame, (320, 240, 3) uint8. shift: measures the shift since then. texture: tracks the texture
+    in the contact; None without a background image, or if the contact has too little texture. contour: recognizes a
+    contour that is the gel's own.
     """
 
     image: NDArray[np.uint8]
@@ -52,14 +54,15 @@ class Reference:
     texture: TextureTracker | None
     contour: GelContour
     center_px: tuple[float, float]
+    shift: ShiftMeter
 
 
 @dataclass(frozen=True, slots=True)
 class RotationMeasurement:
-    """Rotation since the reference; shift in frame pixels right and down, None without a reference; the axes used."""
+    """Rotation since the reference, its shift (None without a reference), and the axes used."""
 
     rotation: RotationEstimate
-    shift_px: tuple[float, float] | None
+    shift: ShiftMeasurement | None
     axes: PatchAxes
 
 
@@ -148,7 +151,7 @@ class RotationMeter:
 
         if name not in ("fused", "registration"):
             rotation = fuse_rotation(None, None, axis)
-            return RotationMeasurement(self._accept(now_s, rotation, patch), center_shift_px, axes)
+            return RotationMeasurement(self._accept(now_s, rotation, patch), ShiftMeasurement(center_shift_px), axes)
 
         texture_map = self._read_texture(reference, image, patch)
         found = None
@@ -162,11 +165,11 @@ class RotationMeter:
                 found = reference.texture.track(texture_map, patch, predicted_deg, axis)
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
         texture = None if found is None else found.rotation
-        shift_px = center_shift_px if found is None else found.complete_shift(center_shift_px)
 
         if not needs_contour(texture, axis):
             rotation = fuse_rotation(texture, None, axis if name == "fused" else None)
-            return RotationMeasurement(self._accept(now_s, rotation, patch, by_texture=True), shift_px, axes)
+            shift = reference.shift.measure(now_s, patch, found, center_shift_px)
+            return RotationMeasurement(self._accept(now_s, rotation, patch, by_texture=True), shift, axes)
 
         certain = texture is not None and is_certain(texture)
         if not certain:
@@ -185,8 +188,8 @@ class RotationMeter:
             contour.axis if name == "fused" else None,
             1.0 if found is None else found.deformation,
         )
-        shift_px = contour.shift_px if found is None else found.complete_shift(contour.shift_px)
-        return RotationMeasurement(self._accept(now_s, rotation, patch), shift_px, axes)
+        shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
+        return RotationMeasurement(self._accept(now_s, rotation, patch), shift, axes)
 
     def take_reference(
         self,
@@ -208,7 +211,7 @@ class RotationMeter:
         Returns:
             The patch's axes by every estimator.
         """
-        texture = None
+        texture = template = None
         reader = self._reader or TextureMapReader(estimate_background(image))
         reader.learn(image, patch)
         texture_map = reader.read(image, patch)
@@ -218,7 +221,8 @@ class RotationMeter:
         contour = GelContour(texture_map, reader.slopes(image, patch), patch)
         timer.mark("reference")
         axes = self._axes.all(patch, self._axes.fast(patch, timer), timer)
-        self.reference = Reference(image, axes, patch, texture, contour, patch.center_px)
+        shift = ShiftMeter(template, patch)
+        self.reference = Reference(image, axes, patch, texture, contour, patch.center_px, shift)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._template = None

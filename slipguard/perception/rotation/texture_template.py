@@ -44,6 +44,7 @@ class TextureTemplate:
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
     only noise changes, so that a shift is invisible; None if there is none. strength: r.m.s. of the values.
     noise: the camera's share of it. image, origin_px: the source of the points, and the center in it.
+    mask: where in the image the texture counts, uint8, 0 or 1.
     round_reason: None, or why the contact counts as round.
     """
 
@@ -58,6 +59,7 @@ class TextureTemplate:
     noise: float
     image: Field
     origin_px: tuple[float, float]
+    mask: NDArray[np.uint8]
     round_reason: str | None
 
 
@@ -102,6 +104,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         texture_map.noise,
         curvature,
         (center_x, center_y),
+        np.asarray(wide, np.uint8),
         round_texture_reason(_change_by_rotation(coarse.T @ coarse), strength),
     )
 

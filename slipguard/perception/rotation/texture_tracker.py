@@ -70,16 +70,6 @@ class TrackedTexture:
     shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
 
-    def complete_shift(self, contour_px: tuple[float, float]) -> tuple[float, float]:
-        """Return the shift, with the contour's shift in the direction that the texture does not show."""
-        if self.shift_px is None:
-            return contour_px
-        if self.smooth is None:
-            return self.shift_px
-        (dx, dy), (x, y), (along_x, along_y) = self.shift_px, contour_px, self.smooth
-        missing = (x - dx) * along_x + (y - dy) * along_y
-        return dx + missing * along_x, dy + missing * along_y
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Key:
@@ -254,9 +244,9 @@ class TextureTracker:
         if fit.declined is not None:
             return TrackedTexture(RotationEstimate(None, None, fit.declined), fit.deformation)
         shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
-        smooth = None if template.smooth is None else _rotated(template.smooth, fit.pose.rotation_deg)
+        smooth = None if template.smooth is None else rotated(template.smooth, fit.pose.rotation_deg)
         if self._first.smooth is not None:  # a shift invisible at the reference is invisible by any key
-            smooth = _rotated(self._first.smooth, rotation_deg)
+            smooth = rotated(self._first.smooth, rotation_deg)
         rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
         return TrackedTexture(rotation, fit.deformation, shift, smooth)
 
@@ -284,7 +274,7 @@ def _declined(reason: DeclineReason) -> TrackedTexture:
     return TrackedTexture(RotationEstimate(None, None, reason), 1.0)
 
 
-def _rotated(direction: tuple[float, float], rotation_deg: float) -> tuple[float, float]:
+def rotated(direction: tuple[float, float], rotation_deg: float) -> tuple[float, float]:
     """Rotate a direction (right, down) counter-clockwise as seen in the image."""
     c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
     return c * direction[0] + s * direction[1], c * direction[1] - s * direction[0]

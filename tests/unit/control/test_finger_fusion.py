@@ -196,3 +196,17 @@ def test_an_axial_jump_is_confirmed_modulo_180_degrees() -> None:
     assert sure is not None
     assert sure.rotation_deg == pytest.approx(110.0)
     assert sure.sigma_deg == pytest.approx(0.3)
+
+
+def test_a_slide_counts_only_while_no_finger_knows_the_shift() -> None:
+    slides = replace(estimate(1.0), shift_declined="periodic texture, shift ambiguous", slides=True)
+    for left, right, expected in (
+        (slides, None, True),
+        (slides, estimate(-1.0), True),
+        (slides, estimate(-1.0, shift_mm=(0.0, 0.0)), False),
+        (replace(slides, slides=False), estimate(-1.0), False),
+        (replace(slides, rotation_deg=math.nan), None, False),
+    ):
+        both = fuse(left, right)
+        assert both is not None
+        assert both.slides is expected

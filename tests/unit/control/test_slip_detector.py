@@ -390,3 +390,13 @@ def test_creep_too_must_be_larger_after_a_tightening() -> None:
 def test_an_arm_whose_motion_is_unknown_is_judged_as_moving(motion_known: bool, case: ArmCase) -> None:
     state = ArmState(0.0, 0.0, False, False, False, NOW_S, motion_known=motion_known)
     assert assess_slip(at_rest(), observation(), PARAMS, arm=state).memory.arm.case is case
+
+
+def test_a_slide_by_an_unknown_distance_is_slip() -> None:
+    slides = observation(shift_mm=None, slides=True)
+    seen = assess_slip(BEFORE, slides, PARAMS)
+    assert seen.translates
+    assert seen.moving
+    assert seen.memory.frames == 1
+    assert seen.what == "rotated 1.0° at 0°/s, slides by an unknown distance"
+    assert not assess_slip(BEFORE, slides, PARAMS, only_outward=True).translates

@@ -130,14 +130,9 @@ def test_a_shaft_cut_by_the_frame_shows_no_shift_along_itself() -> None:
     along = np.array(found.smooth)
     assert abs(along @ (np.cos(np.radians(76.0)), -np.sin(np.radians(76.0)))) == pytest.approx(1.0, abs=1e-3)
     assert found.shift_px == pytest.approx((6 * 0.94, 6 * 0.34), abs=1.5)
-    contour_shift = (50.0, -40.0)
-    whole = np.array(found.complete_shift(contour_shift))
-    assert whole @ along == pytest.approx(along @ contour_shift, abs=1e-4)
-    assert whole - (whole @ along) * along == pytest.approx(found.shift_px - (found.shift_px @ along) * along, abs=1e-4)
 
 
 def test_a_texture_with_a_face_shows_every_shift() -> None:
     found = Held().see(lettered, 1.0, (121.0, 160.0))
     assert found.smooth is None
-    assert found.complete_shift((50.0, 50.0)) == found.shift_px
-    assert TrackedTexture(NO_AXIS, 1.0).complete_shift((2.0, 3.0)) == (2.0, 3.0)
+    assert found.shift_px == pytest.approx((1.0, 0.0), abs=0.3)

@@ -1,0 +1,135 @@
+"""Slides of ribbed, threaded and smooth shafts: no wrong shift is reported, and the slip detector sees the slide."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from slipguard.control.finger_fusion import fuse
+from slipguard.control.params import GuardParams
+from slipguard.control.slip_detector import assess_slip
+from slipguard.control.slip_memory import SlipMemory
+from slipguard.datasets.rendered_grasps import bench_object
+from slipguard.devices import Frame
+from slipguard.perception.contact.patch import Patch, find_patch
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation.shift_meter import end_offset_px
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.height_raster import HeightRaster
+from slipguard.sim.sensor_unit import random_unit
+from slipguard.sim.shaft import Shaft
+
+FRAME_S = 1.0 / 60.0
+REST_FRAMES = 12
+LENGTH_MM = 30.0
+
+
+@cache
+def shaft_raster(pitch_mm: float, threaded: bool) -> HeightRaster:
+    if pitch_mm:
+        return Shaft(pitch_mm=pitch_mm, groove_mm=0.25 * pitch_mm, threaded=threaded).raster()
+    return Shaft(end_mm=4.0).raster()
+
+
+class Finger:
+    """A finger that holds an upright shaft, or another object."""
+
+    def __init__(self, raster: HeightRaster | None, seed: int, name: str = "shaft", depth_mm: float = 0.5) -> None:
+        rng = np.random.default_rng(seed)
+        unit = random_unit(rng)
+        self._camera, self._raster, self._name, self._depth_mm = GelCamera(unit, seed=seed), raster, name, depth_mm
+        self._x_mm, self._angle_deg = rng.uniform(-1.0, 1.0), 90.0 + rng.uniform(-8.0, 8.0)
+        background = self._camera.no_contact()
+        self._pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, unit.noise_bgr, unit.px_per_mm)
+        self._frames = 0
+
+    def see(self, slid_mm: float, mm_s: float = 0.0) -> Estimate:
+        view = GelView(self._name, self._x_mm, -slid_mm, self._angle_deg, self._depth_mm, vy_mm_s=-mm_s)
+        self._frames += 1
+        image = self._camera.draw(view, raster=self._raster)
+        return self._pipeline.process(Frame(image, self._frames * FRAME_S, self._frames))
+
+
+@pytest.mark.parametrize(
+    ("pitch_mm", "threaded", "mm_s2", "seen_mm"),
+    [(0.8, False, 300.0, 1.1), (0.8, False, 9_000.0, 5.1), (1.25, True, 3_000.0, 1.7), (2.0, False, 9_000.0, 5.1)],
+)
+def test_a_slide_of_a_ribbed_shaft_is_seen_and_its_shift_is_declined(
+    pitch_mm: float, threaded: bool, mm_s2: float, seen_mm: float
+) -> None:
+    raster = shaft_raster(pitch_mm, threaded)
+    fingers = Finger(raster, 3), Finger(raster, 4)
+    memory, seen_at_mm = SlipMemory(), None
+    for k in range(-REST_FRAMES, 12):
+        at_s = max(k, 0) * FRAME_S
+        slid_mm = min(0.5 * mm_s2 * at_s**2, LENGTH_MM)
+        left, right = (finger.see(slid_mm, mm_s2 * at_s) for finger in fingers)
+        for one in (left, right):
+            assert one.shift_mm is None
+            if one.shift_declined is not None:
+                reason, _, by = one.shift_declined.partition(": by ")
+                assert reason == DeclineReason.SHIFT_AMBIGUOUS
+                assert float(by.split()[0]) == pytest.approx(pitch_mm, rel=0.1)
+        fused = fuse(left, right)
+        assert fused is not None
+        assessed = assess_slip(memory, fused, GuardParams())
+        memory = assessed.memory
+        if assessed.slipping and seen_at_mm is None:
+            seen_at_mm = slid_mm
+            assert "slides by an unknown distance" in assessed.what
+    assert seen_at_mm is not None
+    assert 0.0 < seen_at_mm <= seen_mm
+
+
+def test_a_fast_slide_of_a_smooth_shaft_shows_at_its_end() -> None:
+    fingers = Finger(shaft_raster(0.0, False), 3), Finger(shaft_raster(0.0, False), 4)
+    memory, seen_at_mm = SlipMemory(), None
+    for slid_mm in (*([0.0] * REST_FRAMES), 1.25, 5.0, 11.25):
+        fused = fuse(fingers[0].see(slid_mm), fingers[1].see(slid_mm))
+        assert fused is not None
+        assessed = assess_slip(memory, fused, GuardParams())
+        memory = assessed.memory
+        if assessed.slipping and seen_at_mm is None:
+            seen_at_mm = slid_mm
+            assert assessed.slip_mm == pytest.approx(slid_mm, abs=1.0)
+    assert seen_at_mm == 5.0
+
+
+def test_a_smooth_shaft_across_the_whole_frame_shows_no_shift_along_itself() -> None:
+    finger = Finger(Shaft(radius_mm=2.5).raster(), 3)
+    last = [finger.see(0.0) for _ in range(REST_FRAMES)][-1]
+    assert last.shift_mm is None
+    assert last.shift_declined == DeclineReason.SHIFT_INVISIBLE
+    assert last.has_reference
+
+
+@pytest.mark.parametrize("name", ["wrench", "key", "wedge", "bar", "knife_edge", "hook"])
+def test_other_objects_have_a_shift(name: str) -> None:
+    finger = Finger(None, 3, name, 0.6 * bench_object(name)[0].press_mm)
+    last = [finger.see(0.0) for _ in range(REST_FRAMES)][-1]
+    assert last.shift_mm is not None
+    assert last.shift_mm == pytest.approx((0.0, 0.0), abs=0.1)
+
+
+def bar_patch(from_row: int, to_row: int) -> Patch:
+    probability = np.zeros((160, 120), np.float32)
+    probability[from_row:to_row, 50:70] = 1.0
+    patch = find_patch(probability, 0.5, 100, 2.0)
+    assert patch is not None
+    return patch
+
+
+@pytest.mark.parametrize(
+    ("rows", "offset_px"), [((50, 160), 20.0), ((0, 120), 40.0), ((45, 115), 20.0), ((0, 160), None)]
+)
+def test_the_visible_ends_show_how_far_a_contact_has_moved(rows: tuple[int, int], offset_px: float | None) -> None:
+    reference = bar_patch(40, 100)
+    found = end_offset_px(reference, bar_patch(*rows), (0.0, 0.0), (0.0, 1.0), 0.0)
+    assert found == (None if offset_px is None else pytest.approx(offset_px, abs=8.0))
