@@ -10,7 +10,7 @@ from slipguard.bench.grip.lift_run import CONSTANTS, GripOutcome, PlantName, con
 from slipguard.bench.grip.scenarios import FIRST_TEST_SEED, GripScenario, scenarios
 from slipguard.tools.parallel import Workers, each
 
-QUICK_SCENARIOS, FULL_SCENARIOS = 36, 180
+QUICK_SCENARIOS, FULL_SCENARIOS = 48, 180
 QUICK_RENDERED, FULL_RENDERED = 4, 40
 """Scenarios that also run with rendered frames and the shipped pipeline."""
 QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
