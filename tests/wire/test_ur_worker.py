@@ -19,7 +19,8 @@ def test_a_worker_blocked_by_a_silent_controller_ends_after_its_daemon() -> None
         command = [sys.executable, "-P", "-c", HURRIED, str(theirs.fileno()), own_address(91)]
         worker = subprocess.Popen(command, pass_fds=(theirs.fileno(),))
         theirs.close()
-        ours.send(json.dumps(["connect", 4.0, 2.5, False]).encode())
+        ours.send(json.dumps(["connect", 4.0, 2.5, [0.1, 0.2, 0.3], False]).encode())
+        silent.settimeout(30.0)
         client, _ = silent.accept()  # it is in the call now
         ours.close()
         try:
