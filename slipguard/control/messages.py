@@ -20,7 +20,7 @@ class Condition(StrEnum):
     STALE = "stale"
     """No recent frame, or only frozen or corrupt ones; the sensor is connected."""
     LATE = "late"
-    """Fresh frames arrive, but this machine processes them too late."""
+    """Frames arrive, but are received or processed too late."""
     STUCK = "stuck"
     """Frames arrive, but the processing of one does not return, and its thread did not wait for a processor."""
     LOST = "lost"

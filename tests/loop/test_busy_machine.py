@@ -177,7 +177,9 @@ def test_a_thread_that_hangs_does_not_wait_for_a_processor() -> None:
     asyncio.run(main())
 
 
-def test_cameras_whose_frames_are_old_on_arrival_are_named() -> None:
+def test_frames_that_are_old_on_arrival_are_named() -> None:
+    """A busy machine receives them late; a camera's clock may also be wrong."""
+
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
@@ -186,11 +188,10 @@ def test_cameras_whose_frames_are_old_on_arrival_are_named() -> None:
         await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
         fault = cell.service.state.fault
         assert fault is not None
-        assert fault.code is FaultCode.FRAMES_LOST
+        assert "left: its newest frame is 5.0" in fault.observed
         await asyncio.sleep(0.5)
         lines = "\n".join(cell.service.event_log.lines)
-        assert "left: its newest frame is 5.0" in lines
-        assert "busy" not in lines
+        assert "s old on arrival: this machine is too busy, or the camera's clock is wrong" in lines
 
     play(Cell("wrench", 1), scene)
 

@@ -111,6 +111,8 @@ class SensorCapture:
         self.counts = FrameCounts()
         self.serial: str | None = None
         """Of the sensor opened last; None before that."""
+        self.received_at_s: float | None = None
+        """Loop time at which the last good frame was received."""
         self.newest_frame: Frame | None = None
         """The last good frame; None while the sensor is gone."""
         self.frames: LatestValue[tuple[Frame, float]] = LatestValue()
@@ -203,7 +205,7 @@ class SensorCapture:
                 if loop.time() - failing_since_s > REOPEN_S:
                     raise
                 continue
-            received_at_s = loop.time()
+            self.received_at_s = received_at_s = loop.time()
             failing_since_s = None
             self._backoff.reset()
             self.counts.frames += 1

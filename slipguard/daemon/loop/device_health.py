@@ -98,8 +98,8 @@ def find_problems(observation: Observation, devices: Mapping[str, HasHealth]) ->
 def _stale_frame(finger: FingerHealth) -> str | None:
     if finger.condition is Condition.FRESH or not math.isfinite(finger.age_s):
         return None
-    if finger.condition is Condition.LATE:
-        return f"{finger.why}: this machine is too busy"
+    if finger.condition in (Condition.LATE, Condition.STUCK):
+        return finger.why
     relation = "old" if finger.age_s > 0.0 else "ahead of the clock"
     return f"its newest frame is {abs(finger.age_s):.2f} s {relation}"
 

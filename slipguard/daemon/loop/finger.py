@@ -184,8 +184,13 @@ class Finger:
         return FingerHealth(condition, age_s, self.health.reason), fresh
 
     def _late(self, now_s: float, age_s: float) -> FingerHealth:
-        """Return why frames that arrive are not processed in time: the machine is too busy, or processing hangs."""
-        late = FingerHealth(Condition.LATE, age_s, f"its frames are processed {age_s:.2f} s late")
+        """Return why no recent frame has been processed, although frames arrive."""
+        frame, received_at_s = self.capture.newest_frame, self.capture.received_at_s
+        why = f"its frames are processed {age_s:.2f} s late: this machine is too busy"
+        if frame is not None and received_at_s is not None and received_at_s - frame.captured_at_s > STALE_S:
+            old = f"its newest frame is {received_at_s - frame.captured_at_s:.2f} s old on arrival"
+            why = f"{old}: this machine is too busy, or the camera's clock is wrong"
+        late = FingerHealth(Condition.LATE, age_s, why)
         waited_s = self._worker.waited_s()
         if waited_s is None or self._processing_since_s is None:
             return late
@@ -196,9 +201,8 @@ class Finger:
         return FingerHealth(Condition.STUCK, age_s, f"the processing of a frame has not returned for {for_s:.2f} s")
 
     def _receives(self, now_s: float) -> bool:
-        """Return whether frames arrive that are not old on their arrival."""
-        frame = self.capture.newest_frame
-        return frame is not None and abs(now_s - frame.captured_at_s) <= STALE_S
+        received_at_s = self.capture.received_at_s
+        return received_at_s is not None and now_s - received_at_s <= STALE_S
 
     def skip_frames_after(self, peer: Finger, refresh_s: float) -> None:
         """Keep the last estimate while `peer` sees the object unchanged, for at most `refresh_s`."""
