@@ -120,8 +120,8 @@ def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns() -
         assert cell.world is not None
         await cell.grasp()
         cell.world.faults.fail("arm", "timeout")
-        await asyncio.sleep(0.1)
-        await cell.submit(LiftRequest())  # the arm is there, and does not answer
+        await asyncio.sleep(0.05)
+        await cell.submit(LiftRequest())  # the arm does not answer, but its newest state is recent
         cell.world.faults.fail("arm", "disconnect")
         await asyncio.sleep(3.0)
         cell.world.faults.repair("arm")
