@@ -2,7 +2,8 @@
 
 The fingers face each other, so a rotation of the object has opposite signs in their images. Rotations are positive
 counter-clockwise in the LEFT finger's image; the sign of the right one is flipped here and nowhere else.
-Shifts are the downward part of the contact's motion since the reference, positive when the object moves down.
+Shifts are the contact's motion since the reference in the left finger's image: down and to the right are positive. How
+the image is oriented to gravity is not known, so every direction counts.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ AXIAL_SIGMA_DEG = 90.0
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
 SIGMA_MAX_DEG = 180.0
+SHIFTS_DIFFER_MM = 4.0
+"""Two fingers contradict each other if their shifts are further apart: twice a good one's error (2.5 mm) at most."""
 LARGEST = 1e6
 """No rotation in degrees, rate in degrees/s or shift in mm is larger than this."""
 
@@ -44,7 +47,7 @@ class FusedEstimate:
         rotation_deg: of the object since the reference, positive counter-clockwise in the left image; None: `declined`.
         sigma_deg: one standard deviation, wider if the fingers disagree; None exactly if rotation_deg is None.
         rate_deg_s: of the rotation.
-        shift_mm: downwards since the reference, mean of the fingers that know it.
+        shift_mm, sideways_mm: down and to the right since the reference, mean of the `shift_fingers` that know it.
         slides: no finger knows the shift, and one sees that the object slides.
         conflict: the fingers contradict each other, so only the one with the larger rotation is used.
         note: what is worth reporting although there is an estimate.
@@ -65,6 +68,8 @@ class FusedEstimate:
     declined: str | None = None
     newest_at_s: float = -math.inf
     slides: bool = False
+    sideways_mm: float | None = None
+    shift_fingers: tuple[str, ...] = ()
 
     @property
     def both_touch(self) -> bool:
@@ -101,7 +106,8 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
     given = [estimate for estimate in (left, right) if estimate is not None]
     if not given:
         return None
-    shifts_mm = [-estimate.shift_mm[1] for estimate in given if estimate.shift_mm is not None]
+    shifts = _shifts(left, right)
+    shift_mm, opposed = _mean_shift(shifts)
     both = (_rotation("left", left, 1.0), _rotation("right", right, -1.0))
     rotations = [rotation for rotation in both if rotation is not None] or _confirmed_jump(left, right)
     notes = [f"{name} finger: {_reason(one)}" for name, one in (("left", left), ("right", right)) if _reason(one)]
@@ -114,8 +120,11 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         captured_at_s=min(estimate.captured_at_s for estimate in given),
         measured_at_s=min(estimate.measured_at_s for estimate in given),
         newest_at_s=max(estimate.measured_at_s for estimate in given),
-        shift_mm=sum(shifts_mm) / len(shifts_mm) if shifts_mm else None,
-        slides=not shifts_mm and any(estimate.slides for estimate in given),
+        shift_mm=shift_mm[1] if shift_mm is not None else None,
+        sideways_mm=shift_mm[0] if shift_mm is not None else None,
+        shift_fingers=tuple(shifts),
+        conflict=opposed,
+        slides=not shifts and any(estimate.slides for estimate in given),
     )
     if not rotations:
         return replace(base, declined="; ".join(notes))
@@ -131,9 +140,33 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         rotation_deg=rotation_deg,
         sigma_deg=sigma_deg,
         rate_deg_s=_rate(used),
-        conflict=conflict,
+        conflict=conflict or opposed,
         note="; ".join(notes) or None,
     )
+
+
+def _shifts(left: Estimate | None, right: Estimate | None) -> dict[str, tuple[float, float]]:
+    """Return the shift that each finger knows: to the right and down in the left image."""
+    given = (("left", left, 1.0), ("right", right, -1.0))
+    return {
+        finger: (sign * estimate.shift_mm[0], -estimate.shift_mm[1])
+        for finger, estimate, sign in given
+        if estimate is not None and estimate.shift_mm is not None
+    }
+
+
+def _mean_shift(shifts: dict[str, tuple[float, float]]) -> tuple[tuple[float, float] | None, str | None]:
+    """Return the shift of the object, and how the fingers contradict each other; the larger one is used then."""
+    if not shifts:
+        return None, None
+    apart_mm = math.dist(*shifts.values()) if len(shifts) == 2 else 0.0
+    if apart_mm > SHIFTS_DIFFER_MM:
+        what = (
+            f"the fingers' shifts contradict each other ({apart_mm:.1f} mm apart): one is wrong, the larger one is used"
+        )
+        return max(shifts.values(), key=lambda shift: math.hypot(*shift)), what
+    count = len(shifts)
+    return (sum(x for x, _ in shifts.values()) / count, sum(y for _, y in shifts.values()) / count), None
 
 
 def _checked(estimate: Estimate | None) -> Estimate | None:

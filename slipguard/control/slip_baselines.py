@@ -12,6 +12,8 @@ SHIFT_TAU_S = 0.05
 """Time constant of the filtered derivative of the shift: three frames at 60 fps."""
 SETTLED_SHIFT_MM = 0.3
 """A contact center that wanders less than this is at rest; its noise is about 0.05 mm."""
+SWITCH_SHIFT_MM = 2.5
+"""Without a rotation, the shifts of two fingers may differ by this; the shift of a finger errs by as much."""
 SWITCH_MAX_DEG, SWITCH_MAX_MM = 2.0, 0.5
 """Two fingers differ by no more than this in total; more is motion of the object."""
 
@@ -29,7 +31,7 @@ class Baselines:
            |___before_motion_deg_____________> time      frame - before_motion_deg   still there at rest: slip
 
     Args:
-        episode_deg, episode_mm: where the object was when the last slip episode ended, or at the start.
+        episode_deg, episode_mm, sideways_mm: where the object was when the last slip episode ended, or at the start.
         settled_deg, settled_mm, settled_since_s: where it has been within the settling tolerance, and since when.
         resting_deg: where it rests, slowly followed; while the arm moves: where it last rested.
         previous_deg: the frame before, at rest.
@@ -44,8 +46,9 @@ class Baselines:
     resting_deg: float | None = None
     previous_deg: float | None = None
     before_motion_deg: float | None = None
+    sideways_mm: float | None = None
 
-    def moved(self, by_deg: float, by_mm: float = 0.0) -> Baselines:
+    def moved(self, by_deg: float, by_mm: float = 0.0, sideways_mm: float = 0.0) -> Baselines:
         """Return the same baselines as fingers see them whose estimates differ by this offset."""
         return Baselines(
             plus(self.episode_deg, by_deg),
@@ -56,6 +59,7 @@ class Baselines:
             plus(self.resting_deg, by_deg),
             plus(self.previous_deg, by_deg),
             plus(self.before_motion_deg, by_deg),
+            plus(self.sideways_mm, sideways_mm),
         )
 
     def with_settled(self, fused: FusedEstimate, params: GuardParams) -> Baselines:
@@ -119,23 +123,32 @@ class ReportingFingers:
 
 @dataclass(frozen=True, slots=True)
 class ShiftFilter:
-    """The smoothed downward shift and its rate."""
+    """The smoothed shift along one axis, and its rate."""
 
     smooth_mm: float | None = None
     rate_mm_s: float = 0.0
 
-    def next(self, fused: FusedEstimate, captured_s: float) -> ShiftFilter:
-        """Return the filter after one more estimate. captured_s: of the one before."""
-        if fused.shift_mm is None:
+    def next(self, shift_mm: float | None, passed_s: float) -> ShiftFilter:
+        """Return the filter after one more shift. passed_s: since the one before."""
+        if shift_mm is None:
             return ShiftFilter()
         if self.smooth_mm is None:
-            return replace(self, smooth_mm=fused.shift_mm)
-        passed_s = fused.captured_at_s - captured_s
+            return replace(self, smooth_mm=shift_mm)
         if passed_s <= 0.0:
             return self
         share = 1.0 - math.exp(-passed_s / SHIFT_TAU_S)
-        smooth_mm = self.smooth_mm + share * (fused.shift_mm - self.smooth_mm)
-        return ShiftFilter(smooth_mm, (fused.shift_mm - smooth_mm) / SHIFT_TAU_S)
+        smooth_mm = self.smooth_mm + share * (shift_mm - self.smooth_mm)
+        return ShiftFilter(smooth_mm, (shift_mm - smooth_mm) / SHIFT_TAU_S)
+
+    def jump_mm(self, shift_mm: float | None) -> float:
+        """Return by how much a shift differs from what the last ones lead to, within SWITCH_SHIFT_MM."""
+        if shift_mm is None or self.smooth_mm is None:
+            return 0.0
+        return within(shift_mm - self.smooth_mm - self.rate_mm_s * SHIFT_TAU_S, SWITCH_SHIFT_MM)
+
+    def moved(self, by_mm: float) -> ShiftFilter:
+        """Return the same filter for fingers whose shifts differ by this."""
+        return replace(self, smooth_mm=plus(self.smooth_mm, by_mm))
 
 
 def plus(value: float | None, by: float) -> float | None:

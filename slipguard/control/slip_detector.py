@@ -45,7 +45,8 @@ class SlipAssessment:
     Args:
         memory: the memory after it.
         rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
-        slip_mm, slip_rate_mm_s: downwards from that baseline. slides: by an unknown distance.
+        slip_mm, slip_rate_mm_s: distance from that baseline, in any direction, and the rate away from it. slides: by an
+            unknown distance.
         moving: one of the rates is that of slip.
         rotates, translates: this frame shows rotational or translational slip.
         slipping: slip is confirmed by enough frames.
@@ -101,8 +102,8 @@ def assess_slip(
     memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
     quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, borne_deg, only_outward)
-    slip_mm = (fused.shift_mm or 0.0) - (memory.baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
-    rate_mm_s, tuning = memory.shift.rate_mm_s, params.tuning
+    slip_mm, rate_mm_s = _slide(memory, fused)
+    tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
     times = growth(memory.translations, params)
     translates = slip_mm > tuning.slip_mm * times and (fast or slip_mm > tuning.creep_mm * times)
@@ -156,8 +157,9 @@ def _follow(
         baselines = replace(baselines, before_motion_deg=None)
     elif context.case is ArmCase.REST and baselines.before_motion_deg is None:
         baselines = replace(baselines, before_motion_deg=fused.rotation_deg)
-    shift = memory.shift.next(fused, memory.captured_s)
-    memory = replace(memory, arm=context, baselines=baselines, shift=shift)
+    passed_s = fused.captured_at_s - memory.captured_s
+    shift, sideways = memory.shift.next(fused.shift_mm, passed_s), memory.sideways.next(fused.sideways_mm, passed_s)
+    memory = replace(memory, arm=context, baselines=baselines, shift=shift, sideways=sideways)
     return memory.followed(fused, context.case, new_rest=new_rest, params=params), new_rest
 
 
@@ -174,6 +176,7 @@ def _count_from(
         baselines,
         episode_deg=fused.rotation_deg if rebased else baselines.episode_deg,
         episode_mm=fused.shift_mm if new_rest or baselines.episode_mm is None else baselines.episode_mm,
+        sideways_mm=fused.sideways_mm if new_rest or baselines.sideways_mm is None else baselines.sideways_mm,
     )
     further_out_from = _further_out_from(replace(memory, baselines=baselines), fused, params)
     if further_out_from is not None:
@@ -252,6 +255,17 @@ def _rotation(
         return rotation_deg, rate_deg_s, rotation_deg > again_deg
     fast = rate_deg_s >= tuning.slip_rate_deg_s
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
+
+
+def _slide(memory: SlipMemory, fused: FusedEstimate) -> tuple[float, float]:
+    """Return the distance that the contact has moved from the episode's baseline, and its rate away from there."""
+    baselines = memory.baselines
+    down_mm = (fused.shift_mm or 0.0) - (baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
+    side_mm = (fused.sideways_mm or 0.0) - (baselines.sideways_mm or 0.0) if fused.sideways_mm is not None else 0.0
+    slip_mm = math.hypot(down_mm, side_mm)
+    if slip_mm == 0.0:
+        return 0.0, 0.0
+    return slip_mm, (down_mm * memory.shift.rate_mm_s + side_mm * memory.sideways.rate_mm_s) / slip_mm
 
 
 def _quick_frames(

@@ -89,6 +89,7 @@ class SlipMemory:
     """All that is remembered between frames.
 
     Args:
+        shift, sideways, shift_fingers: shift down and to the right, and the fingers that know it.
         measured_s, captured_s: of the newest frame. followed_s: of the newest frame used for the resting angle.
         noise_deg2: variance of the rotation at rest.
         frames, counted_s: frames in a row that show slip, and the newest measurement of the last of them.
@@ -100,6 +101,8 @@ class SlipMemory:
     baselines: Baselines = field(default_factory=Baselines)
     fingers: ReportingFingers = field(default_factory=ReportingFingers)
     shift: ShiftFilter = field(default_factory=ShiftFilter)
+    sideways: ShiftFilter = field(default_factory=ShiftFilter)
+    shift_fingers: tuple[str, ...] = ()
     arm: ArmContext = field(default_factory=ArmContext)
     measured_s: float = -math.inf
     captured_s: float = -math.inf
@@ -123,7 +126,14 @@ class SlipMemory:
 
     def after_episode(self, *, rotated: bool, translated: bool, raised: bool) -> SlipMemory:
         """Return the memory after an episode: only further motion counts. raised: it was answered with force."""
-        baselines = replace(self.baselines, episode_deg=None, episode_mm=None, resting_deg=None, before_motion_deg=None)
+        baselines = replace(
+            self.baselines,
+            episode_deg=None,
+            episode_mm=None,
+            sideways_mm=None,
+            resting_deg=None,
+            before_motion_deg=None,
+        )
         return replace(
             self,
             baselines=baselines,
@@ -156,6 +166,8 @@ class SlipMemory:
         wrong frame must not stay in the offset: of two frames, and of the distance from the resting angle and from the
         last estimate, the smallest counts.
         """
+        if fused.shift_fingers != self.shift_fingers:
+            return self._shifts_switched(fused).switched(fused)
         fingers = self.fingers
         if fused.rotation_deg is None:
             return replace(self, fingers=replace(fingers, switch=None))
@@ -188,6 +200,19 @@ class SlipMemory:
         )
         baselines = self.baselines.moved(by_deg, total_mm - self.fingers.total_mm)
         return replace(self, fingers=fingers, shift=shift, baselines=baselines)
+
+    def _shifts_switched(self, fused: FusedEstimate) -> SlipMemory:
+        """Return the memory for the fingers that know the shift now: a finger that drops out is no slide."""
+        if not self.shift_fingers:
+            return replace(self, shift_fingers=fused.shift_fingers)
+        down_mm, sideways_mm = self.shift.jump_mm(fused.shift_mm), self.sideways.jump_mm(fused.sideways_mm)
+        return replace(
+            self,
+            shift_fingers=fused.shift_fingers,
+            shift=self.shift.moved(down_mm),
+            sideways=self.sideways.moved(sideways_mm),
+            baselines=self.baselines.moved(0.0, down_mm, sideways_mm),
+        )
 
     def _confirmed(self, fused: FusedEstimate) -> SlipMemory:
         """Return the memory after the second frame of a switch: the first one may have been wrong."""

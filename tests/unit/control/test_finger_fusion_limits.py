@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from observations import estimate
 from records import changed
@@ -24,20 +26,24 @@ def test_both() -> None:
         rate_deg_s=pytest.approx((4.0 * 16.0 + 6.0) / 5.0),
         shift_mm=2.0,
         newest_at_s=7.5,
+        sideways_mm=9.0,
+        shift_fingers=("left", "right"),
     )
 
 
 def test_one_declines() -> None:
     without_estimate = changed(RIGHT, rotation_deg=None, sigma_deg=None, declined="round contact")
     assert fuse(LEFT, without_estimate) == FusedEstimate(
-        True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5
-    )
+        True, True, 8.0, 7.5, ("left",), 4.0, 0.5, 16.0, 2.0, None, "right finger: round contact", newest_at_s=7.5,
+        sideways_mm=9.0, shift_fingers=("left", "right"),
+    )  # fmt: skip
 
 
 def test_one_is_silent() -> None:
     assert fuse(None, RIGHT) == FusedEstimate(
-        None, True, 8.0, 7.25, ("right",), 6.0, 1.0, 6.0, 3.0, None, "left finger: no frames", newest_at_s=7.25
-    )
+        None, True, 8.0, 7.25, ("right",), 6.0, 1.0, 6.0, 3.0, None, "left finger: no frames", newest_at_s=7.25,
+        sideways_mm=9.0, shift_fingers=("right",),
+    )  # fmt: skip
 
 
 def test_both_decline() -> None:
@@ -51,7 +57,25 @@ def test_both_decline() -> None:
         shift_mm=1.0,
         declined="left finger: no reference yet; right finger: no contact",
         newest_at_s=7.5,
+        sideways_mm=9.0,
+        shift_fingers=("left",),
     )
+
+
+@pytest.mark.parametrize(("right_mm", "opposed"), [((-9.0, 2.9), False), ((-9.0, 3.1), True), ((-4.9, -1.0), True)])
+def test_shifts_that_no_object_makes_are_a_contradiction(right_mm: tuple[float, float], opposed: bool) -> None:
+    answer = fuse(LEFT, changed(RIGHT, shift_mm=right_mm))
+    assert answer is not None
+    assert (answer.conflict is not None) is opposed
+    if opposed:
+        assert "shifts contradict each other" in (answer.conflict or "")
+        larger = max(((9.0, 1.0), (-right_mm[0], -right_mm[1])), key=lambda shift: math.hypot(*shift))
+        assert (answer.sideways_mm, answer.shift_mm) == larger
+        silent = fuse(
+            changed(LEFT, rotation_deg=None, sigma_deg=None), changed(RIGHT, shift_mm=right_mm, sigma_deg=None)
+        )
+        assert silent is not None
+        assert silent.conflict == answer.conflict
 
 
 def test_the_later_one_is_moved_back_by_its_own_rate() -> None:

@@ -440,3 +440,39 @@ def test_a_returning_finger_without_shift_causes_no_slip() -> None:
     assert not any(watched.see(0.3).slipping for _ in range(5))
     watched.left_alone, watched.shift_mm = False, 0.4
     assert not any(watched.see(0.0).slipping for _ in range(5))
+
+
+@pytest.mark.parametrize("way", [(0.0, 1.0), (0.0, -1.0), (1.0, 0.0), (-1.0, 0.0), (0.6, -0.8)])
+def test_a_slide_counts_in_every_direction(way: tuple[float, float]) -> None:
+    """The wrist may be turned, so that down is anywhere in the image."""
+    memory, slips = SlipMemory(), []
+    for number in range(60):
+        moved_mm = max(number - 30, 0) * 0.2
+        view = changed(
+            fused(None, at_s=10.0 + FRAME_S * number, shift_mm=moved_mm * way[1], declined="round contact"),
+            sideways_mm=moved_mm * way[0], shift_fingers=("left", "right"),
+        )  # fmt: skip
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        memory = seen.memory
+        slips.append(seen.slipping)
+    assert not any(slips[:32])
+    assert any(slips[30:40])
+
+
+@pytest.mark.parametrize("apart_mm", [0.9, -0.9])
+def test_a_finger_without_an_angle_that_drops_out_is_no_slide(apart_mm: float) -> None:
+    """The fingers' shifts are apart; a slide afterwards is still seen."""
+    memory, slips = SlipMemory(), []
+    for number in range(90):
+        alone = number % 40 >= 20
+        moved_mm = max(number - 70, 0) * 0.2
+        shift_mm = moved_mm + (apart_mm if alone else 0.5 * apart_mm)
+        view = changed(
+            fused(None, at_s=10.0 + FRAME_S * number, shift_mm=shift_mm, declined="round contact"),
+            sideways_mm=-shift_mm, shift_fingers=("left",) if alone else ("left", "right"),
+        )  # fmt: skip
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        memory = seen.memory
+        slips.append(seen.slipping)
+    assert not any(slips[:71])
+    assert any(slips[70:82])
