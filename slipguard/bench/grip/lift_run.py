@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,14 +17,21 @@ from slipguard.bench.grip.controllers import (
     SlipguardController,
     UnguardedController,
 )
-from slipguard.bench.grip.perception_models import PERCEPTION_ERRORS, ModeledFinger, RenderedFinger, RotationDrift
+from slipguard.bench.grip.disturbances import pulse, pushed, taps_and_shaking
+from slipguard.bench.grip.perception_models import (
+    PERCEPTION_ERRORS,
+    ModeledFinger,
+    RenderedFinger,
+    RotationDrift,
+    RotationOutliers,
+)
 from slipguard.bench.grip.scenarios import LIFT_MM, PERCEIVING_S, ROOM_MM, GripScenario
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.limit_surface import GRAVITY_M_S2
 from slipguard.sim import object_motion
 from slipguard.sim.mujoco_plant import MujocoPlant
-from slipguard.sim.world import World, WorldSettings, WorldTruth
+from slipguard.sim.world import World, WorldSettings
 
 PlantName = Literal["own", "mujoco"]
 CONSTANTS = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -44,10 +50,9 @@ SLIPPED_DEG = 0.05
 DROPPED_DEG, DROPPED_MM = 60.0, 12.0
 """The slip of a dropped object."""
 HOLD_MM_S = (30.0, 250.0)
-SHAKE_HZ, SHAKE_MM = 12.0, 0.5
-TAP_SHARE, TAP_S = 0.06, (0.1, 0.4)
-"""Additional load by a tap, relative to the weight."""
 DRIFT_DEG, DRIFT_S = 0.15, (20.0, 60.0)
+OUTLIER_DEG = 0.6
+"""Error of a single frame in both fingers, such as a flicker that both cameras share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +82,6 @@ class GripOutcome:
     fault: str | None
     up: bool
     messages: tuple[str, ...] = ()
-    trace: list[WorldTruth] | None = None
 
     @property
     def force_over_needed(self) -> float:
@@ -91,7 +95,6 @@ def run_lift(
     *,
     hold_s: float = 0.0,
     rendered: bool = False,
-    traced: bool = False,
     params: GuardParams | None = None,
 ) -> GripOutcome:
     """Run a scenario; equal arguments give equal outcomes.
@@ -118,7 +121,7 @@ def run_lift(
     run.event()
     if hold_s > 0.0:
         run.hold(rng, hold_s)
-    return run.outcome(controller, traced)
+    return run.outcome(controller)
 
 
 def constant_n(controller: str, scenario: GripScenario) -> float:
@@ -202,10 +205,7 @@ class _Run:
         """Lift the object, unless its support is removed instead."""
         scenario, loop = self._scenario, self._loop
         self._begun_s = loop.now_s
-        if scenario.outage is not None:
-            finger, from_s, lasts_s = scenario.outage
-            from_s += loop.now_s
-            loop.outage = lambda name, now_s: name == finger and from_s <= now_s < from_s + lasts_s
+        self._lose_frames()
         if scenario.event == "support gone":
             return
         self._known(scenario.base_needed_n)
@@ -230,21 +230,27 @@ class _Run:
                 world.add_mass(from_s, later_kg)
             elif scenario.event == "contact":
                 push_n, lever_m = later_kg * GRAVITY_M_S2, 1e-3 * scenario.lever_mm
-                world.push(from_s, lambda now_s: _pushed(push_n, lever_m, (now_s - from_s) / onset_s))
+                world.push(from_s, lambda now_s: pushed(push_n, lever_m, (now_s - from_s) / onset_s))
             else:
                 peak_m_s2 = GRAVITY_M_S2 * (1.0 / scenario.base_share - 1.0)
-                world.shake(from_s, lambda now_s: peak_m_s2 * _pulse((now_s - from_s) / onset_s))
+                world.shake(from_s, lambda now_s: peak_m_s2 * pulse((now_s - from_s) / onset_s))
         loop.wait(onset_s if scenario.event in ("contact", "acceleration") else 0.0)
         self._rest(EVENT_MAX_S, 0.0)
         if scenario.event == "acceleration":
             world.shake(loop.now_s, None)
 
     def hold(self, rng: np.random.Generator, seconds: float) -> None:
-        """Tap, shake and move the held object."""
+        """Tap, shake and move the held object, with single wrong frames and lost ones."""
         loop = self._loop
         world, until_s = loop.world, loop.now_s + seconds
         self._held_s = loop.now_s
-        world.shake(loop.now_s, _disturbance(rng, loop.now_s, seconds))
+        self._lose_frames()
+        wrong_s = sorted(loop.now_s + rng.uniform(0.0, seconds, 2))
+        for finger, sign in zip(FINGERS, (1.0, -1.0), strict=True):  # as a rotation of the object
+            model = loop.fingers[finger]
+            if isinstance(model, ModeledFinger):
+                model.add_outliers(RotationOutliers(wrong_s, sign * OUTLIER_DEG))
+        world.shake(loop.now_s, taps_and_shaking(rng, loop.now_s, seconds))
         while loop.now_s < until_s and loop.truth().dropped is None:
             height_mm = world.arm_state(loop.now_s).height_mm
             way_mm = float(rng.uniform(10.0, 60.0)) * (1.0 if height_mm < LIFT_MM + 50.0 else -1.0)
@@ -253,6 +259,13 @@ class _Run:
             if rng.random() < 0.5:
                 world.command_stop(loop.now_s)
             loop.wait(float(rng.uniform(0.5, 1.5)))
+
+    def _lose_frames(self) -> None:
+        """Lose the frames of the scenario's outage from now on."""
+        if self._scenario.outage is not None:
+            finger, from_s, lasts_s = self._scenario.outage
+            from_s += self._loop.now_s
+            self._loop.outage = lambda name, now_s: name == finger and from_s <= now_s < from_s + lasts_s
 
     def _known(self, needed_n: float) -> None:
         """Give the clairvoyant bound the force of the load that arrives now."""
@@ -276,7 +289,7 @@ class _Run:
 
         loop.until(over, limit_s)
 
-    def outcome(self, controller: str, traced: bool) -> GripOutcome:
+    def outcome(self, controller: str) -> GripOutcome:
         loop, scenario = self._loop, self._scenario
         truth, trace = loop.truth(), loop.trace
         times = np.array([now.time_s for now in trace])
@@ -303,35 +316,4 @@ class _Run:
             fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
             up=scenario.event == "support gone" or truth.height_mm >= LIFT_MM - REACHED_MM or self._held_s < math.inf,
             messages=tuple(loop.messages),
-            trace=trace if traced else None,
         )
-
-
-def _pushed(force_n: float, lever_m: float, part: float) -> tuple[float, float]:
-    """Return force and torque of a contact after this part of its onset; it stays."""
-    part = min(max(part, 0.0), 1.0)
-    return part * force_n, part * force_n * lever_m
-
-
-def _pulse(part: float) -> float:
-    """Return a smooth pulse over three onsets, with the peak in the middle one."""
-    return max(min(part, 1.0, 3.0 - part), 0.0)
-
-
-def _disturbance(rng: np.random.Generator, from_s: float, seconds: float) -> Callable[[float], float]:
-    """Return the acceleration over time, upwards: shaking in the first half of the time, and taps."""
-    rate = 2.0 * math.pi * SHAKE_HZ
-    peak_m_s2 = 1e-3 * SHAKE_MM * rate * rate
-    taps = [
-        (from_s + float(rng.uniform(0.0, seconds)), float(rng.uniform(*TAP_S)), float(rng.choice((-1.0, 1.0))))
-        for _ in range(max(round(seconds / 3.0), 1))
-    ]
-
-    def acceleration(now_s: float) -> float:
-        value = peak_m_s2 * math.sin(rate * (now_s - from_s)) if now_s < from_s + 0.5 * seconds else 0.0
-        for at_s, lasts_s, side in taps:
-            if at_s <= now_s < at_s + lasts_s:
-                value += side * TAP_SHARE * GRAVITY_M_S2 * math.sin(math.pi * (now_s - at_s) / lasts_s)
-        return value
-
-    return acceleration

@@ -58,7 +58,8 @@ def _front(axes: Any, rows: list[ControllerRow]) -> None:
         axes.plot(row.force_median, p95, "o", color=color, markersize=size, label=label)
         if name == "constant":
             share = row.controller.removeprefix("constant ")
-            axes.annotate(share, (row.force_median, p95), fontsize=7, xytext=(4, 3), textcoords="offset points")
+            at = {"xytext": (2, 4), "textcoords": "offset points", "rotation": 45.0}
+            axes.annotate(share, (row.force_median, p95), fontsize=7, **at)
     axes.set_xlabel("largest force over needed force: dot median, dotted line to p95")
     axes.set_ylabel("final slip in degrees: dot p95, dotted line to worst")
     axes.set_yscale("log")
