@@ -25,9 +25,10 @@ from slipguard.bench.grip.perception_models import (
     RotationDrift,
     RotationOutliers,
 )
-from slipguard.bench.grip.scenarios import LIFT_MM, PERCEIVING_S, ROOM_MM, GripScenario
+from slipguard.bench.grip.scenarios import LIFT_MM, PERCEIVING_S, ROOM_MM, GripScenario, earlier_grasps
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
+from slipguard.control.state import Phase
 from slipguard.limit_surface import GRAVITY_M_S2
 from slipguard.sim import object_motion
 from slipguard.sim.mujoco_plant import MujocoPlant
@@ -38,11 +39,14 @@ CONSTANTS = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Constant forces, relative to the force limit; at least what the gripper's weakest grip is."""
 BOUND_MARGIN = 1.02
 """The clairvoyant bound grips with this much more than the needed force."""
+EARLIER_GRASPS = 2
+"""slipguard has gripped other objects with the same pads before: it learns their stiffness. A start is rarer."""
 START_S = 100.0
 STEP_S = 2e-3
 CLOSING_MAX_S = 6.0
 QUIET_S = 0.7
 LIFT_MAX_S, EVENT_MAX_S = 8.0, 6.0
+RELEASE_MAX_S = 5.0
 PAUSE_S = 0.5
 """The object rests this long between lift and event."""
 STILL_DEG_S, STILL_MM_S, STILL_S = 0.5, 0.5, 0.6
@@ -105,14 +109,20 @@ def run_lift(
         rendered: With rendered frames and the shipped pipeline instead of the error model.
     """
     params = guard_params(params or GuardParams(), scenario)
+    decides = _controller(controller, params)
+    start_s = START_S
+    if isinstance(decides, SlipguardController):
+        for other in earlier_grasps(scenario, EARLIER_GRASPS):
+            start_s = _earlier(other, decides, start_s)
     rng = np.random.default_rng([scenario.seed, scenario.number, 17])
     gripper = scenario.pose.gripper
     loop = ClosedLoop(
-        _world(scenario, plant),
-        _controller(controller, params),
+        _world(scenario, plant, start_s),
+        decides,
         _fingers(scenario, rng, drifts=hold_s > 0.0, rendered=rendered),
         np.random.default_rng([scenario.seed, scenario.number, 9]),
         PERCEIVING_S,
+        now_s=start_s,
         gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
     )
     run = _Run(scenario, loop)
@@ -122,6 +132,27 @@ def run_lift(
     if hold_s > 0.0:
         run.hold(rng, hold_s)
     return run.outcome(controller)
+
+
+def _earlier(scenario: GripScenario, controller: SlipguardController, start_s: float) -> float:
+    """Grip, lift and release an object; return the time afterwards."""
+    gripper = scenario.pose.gripper
+    rng = np.random.default_rng([scenario.seed, scenario.number, 29])
+    loop = ClosedLoop(
+        _world(scenario, "own", start_s),
+        controller,
+        _fingers(scenario, rng, drifts=False, rendered=False),
+        rng,
+        PERCEIVING_S,
+        now_s=start_s,
+        gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
+    )
+    run = _Run(scenario, loop)
+    run.grip(scenario.first_n)
+    run.lift()
+    loop.ask(ControlRequest(RequestKind.RELEASE))
+    loop.until(lambda: controller.state.grasp.phase is Phase.IDLE, RELEASE_MAX_S)
+    return loop.now_s
 
 
 def constant_n(controller: str, scenario: GripScenario) -> float:
@@ -143,7 +174,7 @@ def guard_params(params: GuardParams, scenario: GripScenario) -> GuardParams:
     return GuardParams.model_validate(params.model_dump() | changed)
 
 
-def _world(scenario: GripScenario, plant: PlantName) -> World:
+def _world(scenario: GripScenario, plant: PlantName, start_s: float) -> World:
     item = scenario.item
     world = World(
         WorldSettings(step_s=STEP_S, start_width_mm=item.width_mm + ROOM_MM),
@@ -151,7 +182,7 @@ def _world(scenario: GripScenario, plant: PlantName) -> World:
         lookup=lambda name: item,
         mechanics=MujocoPlant() if plant == "mujoco" else object_motion.advance,
     )
-    world.place(scenario.pose, START_S)
+    world.place(scenario.pose, start_s)
     return world
 
 
