@@ -73,6 +73,19 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
 
 
+def test_jaws_that_stand_apart_without_an_object_are_a_named_fault_that_can_be_cleared() -> None:
+    play = Play()
+    play.step(RequestKind.GRASP)
+    play.jaws = gripper(40.0, holding=False, width_mm=41.0)
+    play.steps(0.1)
+    play.jaws = changed(play.jaws, holding=False, width_mm=41.0)
+    play.steps(5.2)
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.observed == "not closed on an object within 5 s: the jaws stand 41 mm apart without one"
+    assert play.step(RequestKind.CLEAR).refusal is None
+    assert play.grasp.phase is Phase.IDLE
+
+
 def test_one_report_of_closed_on_nothing_does_not_end_a_closing() -> None:
     """It may be from before the command: the jaws would go on to grip the object unguarded."""
     play = Play()
