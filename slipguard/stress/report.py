@@ -79,6 +79,7 @@ def _family_as_json(family: TrialFamily, results: FamilyResults) -> dict[str, An
         "worst_deg": {label: _rounded(value) for label, value in results.worst_deg.items()},
         "worst_sigmas": {label: _rounded(value) for label, value in results.worst_sigmas.items()},
         "promises": {what: _rounded(value) for what, value in results.largest.items()},
+        "broken_at": {effect: _rounded(level) for effect, level in sorted(results.broken_at.items())},
     }
 
 
@@ -128,6 +129,8 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
         f"{100.0 * _done_hours(outcome) / hours:.3g} % of the full list, which takes about {hours:.2g} h on one core "
         "(the campaign stress-list)"
     )
+    for effect, level in sorted(item for results in outcome.results for item in results.broken_at.items()):
+        console.print(f"{effect}: an estimate is off by more than 4 sigma from size {level:g} on", highlight=False)
     firsts = first_failures(outcome)
     for one in firsts[:SHOWN_FAILURES]:
         console.print(f"[red]{one.kind}[/] in {one.family}: {one.what}", highlight=False)

@@ -11,6 +11,7 @@ import numpy as np
 
 from slipguard.errors import InputError
 from slipguard.stress.drift_families import DRIFTING, HOLD
+from slipguard.stress.effect_families import EFFECT_SWEEPS
 from slipguard.stress.image_families import IMAGES, TEXTURES
 from slipguard.stress.mask_families import DEGENERATE, RANDOM
 from slipguard.stress.numeric_families import FLOATS, FUSION, TIMES
@@ -20,6 +21,7 @@ from slipguard.stress.trial_family import FamilyResults, TrialFailure, TrialFami
 
 FAMILIES: tuple[TrialFamily, ...] = (
     DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUND, FLOATS, FUSION, TIMES, DRIFTING, HOLD, TEXTURES, IMAGES,
+    EFFECT_SWEEPS,
 )  # fmt: skip
 
 

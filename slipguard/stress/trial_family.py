@@ -45,7 +45,11 @@ class CurvePoint:
 
 
 class FamilyResults:
-    """Results of the trials of one family. `seed` is the seed of the current trial."""
+    """Results of the trials of one family.
+
+    seed: of the current trial. broken_at: the smallest size of each swept effect at which an estimate was off by more
+    than four of its sigmas.
+    """
 
     def __init__(self, family: str) -> None:
         self.family = family
@@ -58,6 +62,7 @@ class FamilyResults:
         self.worst_deg: dict[str, float] = {}
         self.worst_sigmas: dict[str, float] = {}
         self.largest: dict[str, float] = {}
+        self.broken_at: dict[str, float] = {}
         self.curves: dict[str, dict[float, CurvePoint]] = {}
 
     def add_failure(self, kind: FailureKind, what: str) -> None:

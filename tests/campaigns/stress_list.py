@@ -119,6 +119,8 @@ def merge(results: FamilyResults, later: FamilyResults) -> None:
     ):
         for what, value in others.items():
             mine[what] = max(mine.get(what, value), value)
+    for effect, level in later.broken_at.items():
+        results.broken_at[effect] = min(results.broken_at.get(effect, level), level)
     for curve, levels in later.curves.items():
         for level, added in levels.items():
             point = results.curves.setdefault(curve, {}).setdefault(level, CurvePoint())
