@@ -169,7 +169,7 @@ def _partial_slip(rng: np.random.Generator, level: float, start_deg: float, is_s
     direction = float(rng.uniform(-math.pi, math.pi))
     for k, (rotation_deg, rate_deg_s) in enumerate(_slow_rotations(rng), 1):
         lag_deg = math.copysign(min(abs(rotation_deg), level), rotation_deg)
-        stick_mm = (2.0 if of_middle else 5.0) * (1.0 - 0.75 * _smooth(k / MOVING_FRAMES))
+        stick_mm = (2.0 if of_middle else 5.0) * (1.0 - 0.5 * _smooth(k / MOVING_FRAMES))
         loaded = shear * _smooth(k / 14)
         effects = GelEffects(
             twist_deg=-lag_deg if of_middle else lag_deg,

@@ -31,6 +31,8 @@ class DeclineReason(StrEnum):
     SEVERAL_ROTATIONS = "texture fits at several rotations"
     SHIFT_AMBIGUOUS = "periodic texture, shift ambiguous"
     SHIFT_INVISIBLE = "smooth shaft without a visible end, shift along it not visible"
+    DEFORMED = "contact deforms unevenly"
+    GEL_MEMORY = "gel shows an earlier imprint"
     NOT_A_NUMBER = "not a number"
     UNLIKE_BACKGROUND = "image unlike the background image"
     OUT_OF_FOCUS = "image out of focus"

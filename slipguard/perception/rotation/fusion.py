@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import UnconfirmedRotation
@@ -40,6 +40,12 @@ class RotationEstimate:
     sigma_deg: float | None
     declined: str | None = None
     unconfirmed: UnconfirmedRotation | None = None
+
+    def widened(self, by_deg: float) -> RotationEstimate:
+        """Return the estimate with an independent error of this standard deviation added."""
+        if self.sigma_deg is None or by_deg <= 0.0:
+            return self
+        return replace(self, sigma_deg=math.hypot(self.sigma_deg, by_deg))
 
 
 def fuse_rotation(

@@ -166,8 +166,10 @@ class RotationMeter:
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
         texture = None if found is None else found.rotation
 
-        if not needs_contour(texture, axis):
-            rotation = fuse_rotation(texture, None, axis if name == "fused" else None)
+        remembers = reference.texture is not None and reference.texture.remembers
+        remembers = remembers and texture is not None and texture.rotation_deg is not None
+        if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
+            rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
             shift = reference.shift.measure(now_s, patch, found, center_shift_px)
             return RotationMeasurement(self._accept(now_s, rotation, patch, by_texture=True), shift, axes)
 
@@ -182,10 +184,11 @@ class RotationMeter:
             shape = contour.axis if contour.rotation.rotation_deg is None else contour.rotation
             found = reference.texture.track_again(texture_map, patch, predicted_deg, found, shape, contour.shift_px)
         timer.mark("relief")
+        uneven_deg = 0.0 if found is None else found.uneven_deg
         rotation = fuse_rotation(
             None if found is None else found.rotation,
-            contour.rotation,
-            contour.axis if name == "fused" else None,
+            contour.rotation.widened(uneven_deg),
+            contour.axis.widened(uneven_deg) if name == "fused" else None,
             1.0 if found is None else found.deformation,
         )
         shift = reference.shift.measure(now_s, patch, found, contour.shift_px)

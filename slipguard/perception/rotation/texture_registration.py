@@ -12,7 +12,7 @@ has only rotated gets a small sigma, a strong one of a contact that was sheared 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -49,6 +49,17 @@ SEARCH_STEP_DEG, SEARCH_POINTS = 4.0, 500
 SEARCH_STARTS, APART_DEG = 4, 12.0
 """It returns this many of the best, if they are this far apart."""
 
+GHOST_SIGMA_MIN = 0.01
+GHOST_VISIBLE_MIN = 1e-4
+"""Part of the unmoved reference's square that no motion explains, below which a ghost looks like motion."""
+GHOST_SIGMAS = 3.0
+"""A ghost above this many of its sigmas is not taken for deformation."""
+UNEVEN_CHANCE = 24.0
+"""Uneven deformation explains this over the number of points even in rigid contacts."""
+UNEVEN_MAX = 0.3
+UNEVEN_DEG = 12.0
+"""Sigma of the rotation if uneven deformation explained all that the fit leaves. Rigid contacts of the training objects
+reach a share of 0.01, partial slip 0.1-0.7."""
 FLOOR_DEG = 0.03
 SIGMA_SHARES = (1.25, 0.032, 0.72, 0.25)
 """Shares in sigma of the disagreement of the contact's parts; and of the rotations that would change the texture as
@@ -71,6 +82,22 @@ class TexturePose:
 
 
 @dataclass(frozen=True, slots=True)
+class Ghost:
+    """A part of the reference's texture that stays in place while the rest moves.
+
+    share: its amplitude relative to the reference's, with one standard deviation. pull_deg: by how much a ghost of
+    share 1 changes the rotation that a fit without a ghost finds, to first order.
+    """
+
+    share: float
+    sigma: float
+    pull_deg: float
+
+
+NO_GHOST = Ghost(0.0, math.inf, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class TextureFit:
     """The best pose. spread_deg: one standard deviation of the rotation by the disagreement of the contact's parts.
 
@@ -78,7 +105,9 @@ class TextureFit:
     fit leaves beyond the noise of both images. change: of the texture by a rotation of a radian over the texture
     itself. alike: correlation with the reference. deformed: how far below 1 that is for other reasons than noise.
     strength: of the reference's texture without noise, gray levels per pixel, r.m.s. declined: None, or why there is no
-    rotation. static_bias_deg: by how much a static pattern may have held the rotation back.
+    rotation. static_bias_deg: by how much a static pattern may have held the rotation back. ghost: how much of the
+    reference's own texture stayed in place. uneven: share of what the fit leaves that a deformation of the contact
+    explains.
     """
 
     pose: TexturePose
@@ -91,6 +120,13 @@ class TextureFit:
     strength: float
     declined: str | None = None
     static_bias_deg: float = 0.0
+    ghost: Ghost = NO_GHOST
+    uneven: float = 0.0
+
+    @property
+    def uneven_deg(self) -> float:
+        """One standard deviation of the rotation by uneven deformation, which may be that of the contact's rim only."""
+        return UNEVEN_DEG * self.uneven
 
     @property
     def deformation(self) -> float:
@@ -138,8 +174,12 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
     left, top = (round(at - inside) for at, inside in zip(template.center_px, template.origin_px, strict=True))
     reference_map = TextureMap(ImageWindow(left, top, 0, 0), template.image)
     unmoved, visible = _sampled_at(template, reference_map, rotation, dx, dy, scale)
-    bias = static_pattern_bias(motion, weight * visible, difference, unmoved)
-    return _result(template, texture_map.noise, pose, regularized, difference, value, weight, bias)
+    ghost, bias = find_ghost(motion, weight * visible, difference, unmoved)
+    moving = difference  # what a ghost leaves is no deformation
+    if ghost.share > GHOST_SIGMAS * ghost.sigma:
+        moving = difference - np.float32(ghost.share) * unmoved
+    uneven = uneven_share(template, weight * visible, moving)
+    return _result(template, texture_map.noise, pose, regularized, difference, value, weight, bias, ghost, uneven)
 
 
 def _result(
@@ -151,6 +191,8 @@ def _result(
     value: Field,
     weight: Field,
     bias: float,
+    ghost: Ghost,
+    uneven: float,
 ) -> TextureFit:
     mass = max(float(weight.sum()), 1e-6)
     covariance = np.linalg.inv(normal)[0]
@@ -176,14 +218,18 @@ def _result(
         alike=alike,
         deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
         strength=math.sqrt(clean2),
-        declined=_declined(visible, alike),
+        declined=_declined(visible, alike, uneven),
         static_bias_deg=bias * abs(pose.rotation_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
+        ghost=replace(ghost, pull_deg=ghost.pull_deg / pose.gain),
+        uneven=uneven,
     )
 
 
-def _declined(visible: float, alike: float) -> str | None:
+def _declined(visible: float, alike: float, uneven: float) -> str | None:
     if visible < VISIBLE_MIN:
         return explain(DeclineReason.CLIPPED, f"{visible:.0%} of the texture is visible, limit {VISIBLE_MIN:.0%}")
+    if uneven > UNEVEN_MAX:
+        return explain(DeclineReason.DEFORMED, f"{uneven:.0%} of the misfit, limit {UNEVEN_MAX:.0%}")
     if alike >= ALIKE_MIN:
         return None
     return explain(DeclineReason.CONTACT_CHANGED, f"texture correlates by {alike:.2f}, limit {ALIKE_MIN:.2f}")
@@ -229,21 +275,33 @@ def likely_rotations_deg(
     return found
 
 
-def static_pattern_bias(motion: Field, weight: Field, difference: Field, unmoved: Field) -> float:
-    """Return the bias by patterns that stay in place (dirt, coarse compression), as a share of the found rotation.
+def uneven_share(template: TextureTemplate, weight: Field, difference: Field) -> float:
+    """Return the share of the fit's squared residual that uneven deformation explains, beyond what chance does."""
+    columns = np.concatenate([template.motion, template.deform], axis=1)
+    weighted = columns.T * weight
+    normal = (weighted @ columns).astype(np.float64)
+    scale = np.sqrt(np.diag(normal)) + 1e-9
+    normal = normal / np.outer(scale, scale) + 1e-6 * np.eye(len(normal))
+    gradient = (weighted @ difference).astype(np.float64) / scale
+    explained = float(gradient @ np.linalg.solve(normal, gradient))
+    rigid = gradient[:5]
+    by_motion = float(rigid @ np.linalg.solve(normal[:5, :5], rigid))
+    left = max(float(weight @ difference**2) - by_motion, 1e-9)
+    return max((explained - by_motion) / left - UNEVEN_CHANCE / len(weight), 0.0)
+
+
+def find_ghost(motion: Field, weight: Field, difference: Field, unmoved: Field) -> tuple[Ghost, float]:
+    """Return how much of the reference stays in place (a gel's memory), and the bias by any pattern that does (dirt).
 
     If a share a of an image stays and 1 - a rotates, a fit of small rotations finds 1 - a of the rotation. It leaves
     a / (1 - a) of the unmoved reference, except for what rotation, shift, scale and gain explain. That factor is found
-    by least squares.
+    by least squares. The bias is a share of the found rotation, 0 to `STATIC_BIAS_MAX`.
 
     Args:
         motion: (N, 5), change of the reference by each motion.
         weight: (N,), of the fit.
         difference: (N,), residual of the fit.
         unmoved: (N,), the reference's own image where its points have moved to.
-
-    Returns:
-        0 to `STATIC_BIAS_MAX`.
     """
     weighted = motion.T * weight
     normal = (weighted @ motion).astype(np.float64)
@@ -251,14 +309,22 @@ def static_pattern_bias(motion: Field, weight: Field, difference: Field, unmoved
     explained = np.linalg.solve(normal, (weighted @ unmoved).astype(np.float64)).astype(np.float32)
     static = unmoved - motion @ explained
     weighted_static = weight * static
-    square = float(weighted_static @ static) + STATIC_PRIOR * float(weight @ unmoved**2) + 1e-9
-    return min(max(float(weighted_static @ difference) / square, 0.0), STATIC_BIAS_MAX)
+    square = float(weighted_static @ static) + 1e-9
+    found = float(weighted_static @ difference)
+    whole = float(weight @ unmoved**2)
+    bias = min(max(found / (square + STATIC_PRIOR * whole), 0.0), STATIC_BIAS_MAX)
+    pull_deg = math.degrees(float(explained[0]))
+    if square < GHOST_VISIBLE_MIN * whole:
+        return Ghost(0.0, math.inf, pull_deg), bias
+    left2 = max(float(weight @ difference**2) - found**2 / square, 0.0) / max(float(weight.sum()), 1e-9)
+    sigma = max(math.sqrt(_CORRELATED * left2 / square), GHOST_SIGMA_MIN)
+    return Ghost(found / square, sigma, pull_deg), bias
 
 
 def sigma_deg(fit: TextureFit) -> float:
     """Return one standard deviation of the rotation, degrees."""
     parts = (share * part for share, part in zip(SIGMA_SHARES, parts_deg(fit), strict=True))
-    return math.hypot(FLOOR_DEG, STATIC * max(fit.static_bias_deg - STATIC_FREE_DEG, 0.0), *parts)
+    return math.hypot(FLOOR_DEG, fit.uneven_deg, STATIC * max(fit.static_bias_deg - STATIC_FREE_DEG, 0.0), *parts)
 
 
 def parts_deg(fit: TextureFit) -> tuple[float, float, float, float]:

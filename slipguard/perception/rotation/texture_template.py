@@ -41,6 +41,7 @@ class TextureTemplate:
     """The reference's texture: points around its center, their values and their change by each motion.
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change by rotation, shift x, shift y, scale, gain.
+    deform: (N, 5), change by uneven deformation of the gel: twist, two strains, two bends.
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
     only noise changes, so that a shift is invisible; None if there is none. strength: r.m.s. of the values.
     noise: the camera's share of it. image, origin_px: the source of the points, and the center in it.
@@ -52,6 +53,7 @@ class TextureTemplate:
     y_px: Field
     value: Field
     motion: Field
+    deform: Field
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
     center_px: tuple[float, float]
@@ -97,6 +99,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         dy,
         curvature[y, x],
         motion,
+        _deformations(motion, dx, dy),
         np.unique(block, return_inverse=True)[1],
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (center_x + window.left_px, center_y + window.top_px),
@@ -137,6 +140,20 @@ def _motion(image: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field, d
     # A counter-clockwise rotation moves (dx, dy), y down, by (dy, -dx) per radian.
     # Each motion is contiguous in memory: that is how the registration reads them.
     return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), image[y, x]]), np.float32).T
+
+
+def _deformations(motion: Field, dx: Field, dy: Field) -> Field:
+    """Return the change of the image's values by deformations that are not a motion: (N, 5) float32.
+
+    A rotation that grows with the distance from the center (twist, partial slip), stretch along one diagonal or axis
+    and shortening across it (shear), and a shift that grows with that distance (bend).
+    """
+    gx, gy = motion[:, 1], motion[:, 2]
+    square = dx * dx + dy * dy
+    far = square / max(float(square.mean()), 1e-6)
+    strains = [gx * dx - gy * dy, gx * dy + gy * dx]
+    size = np.sqrt(np.float32(square.mean()))
+    return np.asarray(np.stack([(gx * dy - gy * dx) * far, *strains, gx * far * size, gy * far * size]), np.float32).T
 
 
 def _smooth_direction(shifts: Field, noise: float) -> Field | None:

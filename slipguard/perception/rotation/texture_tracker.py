@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
+from slipguard.perception.rotation.gel_memory import SHARE_MAX, GelMemory
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
 from slipguard.perception.rotation.texture_registration import (
     APART_DEG,
@@ -41,6 +42,8 @@ KEY_ALIKE = 0.93
 """A key is taken only if the texture's correlation with the reference is below this."""
 KEY_STEP = 1.2
 """A key replaces another one only at a sigma larger by this factor."""
+MEMORY_ALIKE = 0.85
+"""The gel's memory is estimated only while the texture's correlation with the reference is above this."""
 RETRY_DEG = 4.0
 """If the contour's rotation differs by more than this, the texture is also searched for there."""
 ACCELERATION_DEG_S2 = 20_000.0
@@ -63,12 +66,14 @@ class TrackedTexture:
 
     shift_px: frame pixels right and down. deformation: factor on sigmas; 1 if the contact has not deformed.
     smooth: the direction (right, down; of length 1) along which the texture shows no shift; None if there is none.
+    uneven_deg: sigma by uneven deformation, which the contour has as well.
     """
 
     rotation: RotationEstimate
     deformation: float
     shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
+    uneven_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,9 +101,15 @@ class TextureTracker:
         self._pose = TexturePose()
         self._key: _Key | None = None
         self._key_pose = TexturePose()
+        self._memory = GelMemory()
         self._gap_deg = 0.0
         self.ambiguous = rotated_unseen and self.period_deg is not None
         """Whether a periodic texture may be off by whole periods, until the axis resolves it."""
+
+    @property
+    def remembers(self) -> bool:
+        """Whether a part of the reference's imprint certainly stays in place: it also distorts the contour."""
+        return self._memory.certain
 
     @property
     def period_deg(self) -> float | None:
@@ -179,10 +190,13 @@ class TextureTracker:
         if start is None:
             start = replace(self._pose, rotation_deg=predicted_deg)
         fit = fit_texture(self._first, texture_map, start)
+        if fit.declined is None and fit.alike > MEMORY_ALIKE:
+            self._memory.update(fit.ghost)
         found = self._tracked(self._first, fit, (fit.pose.dx_px, fit.pose.dy_px), fit.pose.rotation_deg, 0.0)
         sigma = found.rotation.sigma_deg
         by_key = False
-        if sigma is None or sigma > KEY_NEEDED_DEG:
+        own_sigma = sigma_deg(fit)  # possible memory of the gel does not call for a key, which it would spoil too
+        if (sigma is None or own_sigma > KEY_NEEDED_DEG) and not self.remembers:
             key_found = self._search_key(texture_map, start.rotation_deg)
             if key_found is not None and (sigma is None or (key_found.rotation.sigma_deg or 180.0) < sigma):
                 found, by_key = key_found, True
@@ -194,7 +208,7 @@ class TextureTracker:
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         self._pose = TexturePose(rotation, shift[0], shift[1]) if by_key else fit.pose
         newer = self._key is None or sigma > KEY_STEP * self._key.sigma_deg
-        if not by_key and newer and fit.alike < KEY_ALIKE and sigma < KEY_SIGMA_DEG:
+        if not by_key and newer and fit.alike < KEY_ALIKE and own_sigma < KEY_SIGMA_DEG and not self.remembers:
             self._take_key(texture_map, patch, rotation, sigma, shift)
         return found
 
@@ -242,13 +256,20 @@ class TextureTracker:
         key_sigma_deg: float,
     ) -> TrackedTexture:
         if fit.declined is not None:
-            return TrackedTexture(RotationEstimate(None, None, fit.declined), fit.deformation)
+            return TrackedTexture(
+                RotationEstimate(None, None, fit.declined), fit.deformation, uneven_deg=fit.uneven_deg
+            )
+        if self._memory.too_strong:
+            detail = f"share {self._memory.share:.2f}, limit {SHARE_MAX:g}"
+            return TrackedTexture(RotationEstimate(None, None, explain(DeclineReason.GEL_MEMORY, detail)), 1.0)
         shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
         smooth = None if template.smooth is None else rotated(template.smooth, fit.pose.rotation_deg)
         if self._first.smooth is not None:  # a shift invisible at the reference is invisible by any key
             smooth = rotated(self._first.smooth, rotation_deg)
         rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
-        return TrackedTexture(rotation, fit.deformation, shift, smooth)
+        if template is self._first:
+            rotation = self._memory.corrected(rotation_deg, sigma_deg(fit), fit.ghost)
+        return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg)
 
 
 def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float = 0.0) -> float:

@@ -1,4 +1,4 @@
-"""`slipguard --sim` on the fast clock: exact JSON for programs, a table that fits for people, an exit code."""
+"""`slipguard --sim --speed fast`: JSON, table, and exit code."""
 
 from __future__ import annotations
 

@@ -1,0 +1,65 @@
+"""What a real contact does besides rotating rigidly never gives a wrong rotation with a small sigma."""
+
+from __future__ import annotations
+
+import pytest
+
+from slipguard.datasets.effect_scenes import EffectName, render_effect
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation.gel_memory import SHARE_MAX, GelMemory
+from slipguard.perception.rotation.texture_registration import Ghost
+from slipguard.perception.settings import PerceptionSettings
+
+
+def errors(effect: EffectName, case: str, seed: int, level: float) -> tuple[list[float], list[float]]:
+    """Return the errors in degrees and in sigmas of a grasp's estimates."""
+    grasp = render_effect(effect, case, seed, level)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
+    errors_deg, errors_sigma = [], []
+    for shot in grasp.shots:
+        estimate = pipeline.process(shot.frame)
+        if shot.compared and estimate.rotation_deg is not None and estimate.sigma_deg is not None:
+            errors_deg.append(abs(estimate.rotation_deg - shot.rotation_deg))
+            errors_sigma.append(errors_deg[-1] / estimate.sigma_deg)
+    return errors_deg, errors_sigma
+
+
+def test_gel_memory_is_detected_and_corrected() -> None:
+    errors_deg, errors_sigma = errors("memory", "bar", 1, 0.4)
+    assert len(errors_deg) > 20
+    assert max(errors_sigma) < 4.0
+    assert sum(errors_deg) / len(errors_deg) < 0.4
+
+
+def test_partial_slip_is_declined_or_uncertain() -> None:
+    _, errors_sigma = errors("partial slip", "bracket", 504, 9.0)
+    assert max(errors_sigma, default=0.0) < 4.0
+
+
+def test_memory_is_certain_after_some_frames_and_then_corrects() -> None:
+    memory = GelMemory()
+    ghost = Ghost(0.3, 0.06, 5.0)
+    first = memory.corrected(10.0, 0.1, ghost)
+    assert (first.rotation_deg, first.sigma_deg) == (10.0, pytest.approx(1.5, abs=0.01))
+    for _ in range(12):
+        memory.update(ghost)
+    assert memory.certain
+    corrected = memory.corrected(10.0, 0.1, ghost)
+    assert corrected.rotation_deg == pytest.approx(11.5, abs=0.05)
+    assert corrected.sigma_deg is not None
+    assert corrected.sigma_deg < 0.6
+
+
+def test_a_frame_that_shows_nothing_of_it_teaches_nothing() -> None:
+    memory = GelMemory()
+    memory.update(Ghost(5.0, float("inf"), 0.0))
+    assert memory.share == 0.0
+    assert not memory.certain
+
+
+def test_a_gel_that_mostly_shows_the_past_is_recognized() -> None:
+    memory = GelMemory()
+    for _ in range(12):
+        memory.update(Ghost(SHARE_MAX + 0.1, 0.05, 5.0))
+    assert memory.too_strong
