@@ -29,8 +29,9 @@ AXIAL_SIGMA_DEG = 90.0
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
 SIGMA_MAX_DEG = 180.0
-SHIFTS_DIFFER_MM = 4.0
-"""Two fingers contradict each other if their shifts are further apart: twice a good one's error (2.5 mm) at most."""
+SHIFTS_DIFFER_MM, SHIFTS_DIFFER_SHARE = 4.0, 0.5
+"""Two fingers contradict each other if their shifts are further apart than this plus a share of the larger one: a good
+one errs by 2.5 mm, and by more in a long slide, in which the contact leaves the image."""
 LARGEST = 1e6
 """No rotation in degrees, rate in degrees/s or shift in mm is larger than this."""
 
@@ -160,7 +161,8 @@ def _mean_shift(shifts: dict[str, tuple[float, float]]) -> tuple[tuple[float, fl
     if not shifts:
         return None, None
     apart_mm = math.dist(*shifts.values()) if len(shifts) == 2 else 0.0
-    if apart_mm > SHIFTS_DIFFER_MM:
+    larger_mm = max(math.hypot(*shift) for shift in shifts.values())
+    if apart_mm > SHIFTS_DIFFER_MM + SHIFTS_DIFFER_SHARE * larger_mm:
         what = (
             f"the fingers' shifts contradict each other ({apart_mm:.1f} mm apart): one is wrong, the larger one is used"
         )

@@ -29,6 +29,9 @@ PLAIN_TIMES = 1.5
 """In a lift-off, a rotation estimated by both fingers counts as two frames if it exceeds this multiple of its threshold
 and the previous frame already showed BEGUN_SHARE of the threshold. A leap in one frame is a flash of light or a knock.
 """
+PLAIN_SLIDE_TIMES = 2.0
+"""A fast slide that both fingers see beyond this multiple of its threshold needs no second frame: an object in free
+fall is lost after 50 ms. It does not matter how often the grip was tightened before."""
 BEGUN_SHARE = 0.25
 APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
@@ -102,11 +105,13 @@ def assess_slip(
     memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
     quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, borne_deg, only_outward)
+    turns = quick_frames > 0
     slip_mm, rate_mm_s = _slide(memory, fused)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
-    times = growth(memory.translations, params)
-    translates = slip_mm > tuning.slip_mm * times and (fast or slip_mm > tuning.creep_mm * times)
+    translates = slip_mm > tuning.slip_mm and (fast or slip_mm > tuning.creep_mm)
+    if fast and slip_mm > PLAIN_SLIDE_TIMES * tuning.slip_mm and len(fused.shift_fingers) == 2:
+        quick_frames = max(quick_frames, tuning.confirm_frames)
     slides = fused.slides and not only_outward
     translates = translates or slides
     if is_new:
@@ -120,7 +125,7 @@ def assess_slip(
         slip_rate_mm_s=rate_mm_s,
         slides=slides,
         moving=rate_deg_s >= tuning.slip_rate_deg_s or fast or slides,
-        rotates=rotates or rests_further_out or quick_frames > 0,
+        rotates=rotates or rests_further_out or turns,
         translates=translates,
         slipping=memory.frames >= tuning.confirm_frames,
         settled_s=memory.captured_s - settled_since_s if settled_since_s is not None else 0.0,

@@ -17,7 +17,7 @@ from slipguard.control.slip_detector import TORSION_ON_TABLE_DEG, SlipAssessment
 from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, SlipEpisode, gripper_at_rest
 
-AGAIN_DEG, AGAIN_SHARE = 1.0, 0.5
+AGAIN_DEG, AGAIN_SHARE = 2.5, 0.5
 """While an object leaves the table, the grip is raised again after this further rotation, or this share of the torsion
 that it bears without slip."""
 SLOWING = 0.8

@@ -62,7 +62,9 @@ def test_both_decline() -> None:
     )
 
 
-@pytest.mark.parametrize(("right_mm", "opposed"), [((-9.0, 2.9), False), ((-9.0, 3.1), True), ((-4.9, -1.0), True)])
+@pytest.mark.parametrize(
+    ("right_mm", "opposed"), [((-9.0, 7.4), False), ((-9.0, 11.0), True), ((5.0, -1.0), True), ((-3.0, -1.0), False)]
+)
 def test_shifts_that_no_object_makes_are_a_contradiction(right_mm: tuple[float, float], opposed: bool) -> None:
     answer = fuse(LEFT, changed(RIGHT, shift_mm=right_mm))
     assert answer is not None

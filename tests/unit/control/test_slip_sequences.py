@@ -476,3 +476,17 @@ def test_a_finger_without_an_angle_that_drops_out_is_no_slide(apart_mm: float) -
         slips.append(seen.slipping)
     assert not any(slips[:71])
     assert any(slips[70:82])
+
+
+@pytest.mark.parametrize(("fingers", "slid_mm", "slips"), [(2, 1.2, True), (2, 0.8, False), (1, 1.2, False)])
+def test_a_plain_slide_that_both_fingers_see_needs_one_frame(fingers: int, slid_mm: float, slips: bool) -> None:
+    memory = SlipMemory()
+    names = ("left", "right")[:fingers]
+    for number in range(31):
+        view = changed(
+            fused(0.0, at_s=10.0 + FRAME_S * number, shift_mm=slid_mm if number == 30 else 0.0, sigma_deg=0.1),
+            sideways_mm=0.0, shift_fingers=names,
+        )  # fmt: skip
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        memory = seen.memory
+    assert (seen.slipping, seen.translates, seen.rotates) == (slips, True, False)
