@@ -181,6 +181,7 @@ def _block_name(block: range) -> str:
 
 def _line(name: str, seed: int, split: str, rendered: RenderedSample, mask: Image) -> dict[str, Any]:
     pose = asdict(rendered.view)
+    del pose["effects"]  # training frames have none
     return {
         "file": name,
         "seed": seed,

@@ -90,7 +90,7 @@ def drawn_over(image: Image) -> NDArray[np.uint8]:
 
 
 def test_a_rotation_is_measured_with_many_dead_lines_and_the_mask_has_no_gaps() -> None:
-    shown = rotated_grasp(12)
+    shown = rotated_grasp(10)
     segmenter = Segmenter()
     measured = []
     for spoil in (np.copy, drawn_over):
