@@ -8,7 +8,7 @@ from observations import arm, fused
 from records import changed, slip_memory
 
 from slipguard.control.params import GuardParams
-from slipguard.control.slip_baselines import SWITCH_MAX_DEG, SWITCH_MAX_MM
+from slipguard.control.slip_baselines import SWITCH_MAX_DEG, SWITCH_MAX_MM, SWITCH_SHIFT_MM, ShiftFilter
 from slipguard.control.slip_detector import SlipAssessment, assess_slip, growth, threshold_deg
 from slipguard.control.slip_memory import ARM_SETTLE_S, LIFT_OFF_MM, NOISE_MAX_DEG, NOISE_TIMES, ArmCase, SlipMemory
 
@@ -490,3 +490,13 @@ def test_a_plain_slide_that_both_fingers_see_needs_one_frame(fingers: int, slid_
         seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
         memory = seen.memory
     assert (seen.slipping, seen.translates, seen.rotates) == (slips, True, False)
+
+
+def test_a_shift_filter_waits_for_a_newer_frame() -> None:
+    begun = ShiftFilter().next(1.0, 0.02)
+    assert (begun.smooth_mm, begun.rate_mm_s) == (1.0, 0.0)
+    assert begun.next(2.0, 0.0) == begun
+    assert begun.next(2.0, 0.02).rate_mm_s > 10.0
+    assert begun.next(None, 0.02) == ShiftFilter()
+    assert begun.jump_mm(2.0) == 1.0
+    assert begun.jump_mm(9.0) == SWITCH_SHIFT_MM
