@@ -44,14 +44,18 @@ def measure(
         bool,
         typer.Option(
             "--json",
-            help="Print one JSON object per frame and line; its key `declined` says why there is no angle, else null.",
+            help="Print one JSON object per frame and line: `declined` says why there is no angle, else null; "
+            "`reference` names the frame that the angle counts from.",
         ),
     ] = False,
     independent: Annotated[
         bool, typer.Option("--independent", help="Treat each frame separately, not as one recording.")
     ] = False,
     reference: Annotated[
-        ReferenceChoice, typer.Option(help="Reference of the rotation: the first stable, or the first, contact frame.")
+        ReferenceChoice,
+        typer.Option(
+            help="Reference of the rotation: the first stable (at most 0.1 s late), or the first, contact frame."
+        ),
     ] = ReferenceChoice.stable,
     model: Annotated[Path | None, typer.Option(help="Segmentation network (.onnx). Default: the shipped one.")] = None,
     estimator: Annotated[str | None, typer.Option(help="Rotation estimator. Default: the daemon's.")] = None,

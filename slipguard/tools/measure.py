@@ -26,11 +26,15 @@ PX_PER_MM = 18.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameMeasurement:
-    """One frame with its estimate and mask, (320, 240) uint8, 0 or 1."""
+    """One frame with its estimate and mask, (320, 240) uint8, 0 or 1.
+
+    reference: name of the frame that the rotation counts from; None before.
+    """
 
     frame: FileFrame
     estimate: Estimate
     mask: NDArray[np.uint8]
+    reference: str | None
 
 
 def measure(
@@ -46,17 +50,18 @@ def measure(
         InputError: At the first file that cannot be used, after the frames before it were yielded.
     """
     pipeline = _pipeline(segmenter, settings, background)
+    reference: str | None = None
     for sequence, frame in enumerate(read_frames(find_image_files(paths))):
         if independent and sequence:
-            pipeline = _pipeline(segmenter, settings, background)
+            pipeline, reference = _pipeline(segmenter, settings, background), None
         try:
             estimate = pipeline.process(Frame(frame.image, frame.captured_at_s, sequence))
         except FrameCorrupt as error:
             raise InputError(f"{frame.name}: {error}") from error
-        mask = pipeline.last_mask if estimate.contact else None
-        yield FrameMeasurement(
-            frame, estimate, np.zeros(frame.image.shape[:2], np.uint8) if mask is None else mask.copy()
-        )
+        if reference is None and pipeline.has_reference:
+            reference = frame.name
+        mask = pipeline.last_mask.copy() if estimate.contact else np.zeros(frame.image.shape[:2], np.uint8)
+        yield FrameMeasurement(frame, estimate, mask, reference)
 
 
 def _pipeline(segmenter: Segmenter, settings: PerceptionSettings, background: NDArray[np.uint8] | None) -> Pipeline:
@@ -72,6 +77,7 @@ def as_json(measured: FrameMeasurement) -> dict[str, Any]:
         "angle_deg": _rounded(estimate.rotation_deg),
         "orientation_deg": _rounded(estimate.orientation_deg),
         "sigma_deg": _rounded(estimate.sigma_deg),
+        "reference": measured.reference,
         "method": estimate.method,
         "skipped": estimate.skipped,
         "declined": estimate.declined,

@@ -8,6 +8,7 @@ the object bends the gel sharply, a smooth contact does not. The dome's own elli
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -57,13 +58,22 @@ class GelContour:
         curved, steep = _strength(texture_map, slopes, patch)
         sharp = 0.5 * self._shape.width_px / REDUCTION * curved / max(steep, 1e-3)
         self._flat = min(FLAT_LEVELS / max(curved, 1e-3), 1.0)
-        edgeless = steep >= STEEP_MIN and curved < CURVED_LEVELS and sharp < SHARP_MIN
-        self.smooth = edgeless and self._shape.width_px >= BROAD_PX
-        """Whether the contact is broad and has no edges."""
+        self.edgeless = steep >= STEEP_MIN and sharp < SHARP_MIN
+        """Whether no edge of the object bends the gel: then force alone changes the contour."""
+        self.smooth = self.edgeless and curved < CURVED_LEVELS and self._shape.width_px >= BROAD_PX
+        """Whether the dome may show in the contour."""
         self._detail = f"bent by {sharp:.1f}, limit {SHARP_MIN:g}"
 
-    def check(self, rotation: RotationEstimate, patch: Patch) -> RotationEstimate:
-        """Decline a rotation if the contour may be the gel's own; increase its sigma if the dome may distort it."""
+    def check(self, rotation: RotationEstimate, patch: Patch, factor: float) -> RotationEstimate:
+        """Decline a rotation if the contour may be the gel's own; increase its sigma if force or dome may distort it.
+
+        Args:
+            rotation: As measured.
+            patch: The contact now.
+            factor: On the sigma of a contact without edges.
+        """
+        if self.edgeless and rotation.sigma_deg is not None:
+            rotation = replace(rotation, sigma_deg=factor * rotation.sigma_deg)
         if not self.smooth or rotation.rotation_deg is None or rotation.sigma_deg is None:
             return rotation
         now = _Ellipse(patch)
@@ -73,9 +83,7 @@ class GelContour:
                 detail = f"{self._detail}; {off_deg:.0f} deg from the gel's axes, limit {ALIGNED_DEG:g} deg"
                 return RotationEstimate(None, None, explain(DeclineReason.GEL_CONTOUR, detail))
         share = self._flat * min(1.0 / max(now.aspect**2 - 1.0, 1e-3), DOME_SHARE_MAX)
-        return RotationEstimate(
-            rotation.rotation_deg, math.hypot(rotation.sigma_deg, share * rotation.rotation_deg), rotation.declined
-        )
+        return replace(rotation, sigma_deg=math.hypot(rotation.sigma_deg, share * rotation.rotation_deg))
 
 
 class _Ellipse:

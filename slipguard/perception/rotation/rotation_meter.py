@@ -33,6 +33,17 @@ from slipguard.perception.settings import PerceptionSettings
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05
 """The contact area is stable if the last five frames differ by less than this share of it."""
+STABLE_WAIT_S = 0.095
+"""A contact that is not stable after this time becomes the reference as it is: in three or six frames, below 0.1 s."""
+GROWN = 1.5
+CARRIED_SIGMA_DEG = 1.5
+"""While the force grows, a reference that was not stable follows: it is replaced when the contact area has grown by
+this factor, if the rotation until then is known to this sigma; that rotation is added from then on."""
+UNKNOWN_SIGMAS = 2.0
+"""Factor on sigma without a background image."""
+GROWTH_SIGMAS = 2.0
+"""Factor on sigma for each doubling or halving of the contact area since the reference, for contacts without edges and
+without a background image: force changes their contour in other ways than a rotation."""
 MISFIT_SIGMAS = 1.5
 """If the contour is not the reference's any more, the axis is off too: by this share of the contour's misfit."""
 SECOND_START_DEG = 4.0
@@ -105,6 +116,9 @@ class RotationMeter:
         self._template: ContourTemplate | None = None
         self._pose = ContourPose()
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
+        self._contact_since_s: float | None = None
+        self._provisional = False
+        self._carried: RotationMeasurement | None = None
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Return the rotation rate at `now_s`; None if unknown."""
@@ -113,6 +127,7 @@ class RotationMeter:
     def note_no_contact(self) -> None:
         """Require a new run of stable frames for a reference that is not taken yet."""
         self._areas.clear()
+        self._contact_since_s = None
 
     def note_unchanged(self, now_s: float) -> None:
         """Note that the image at `now_s` shows no change: the rotation is still the last one."""
@@ -135,13 +150,33 @@ class RotationMeter:
             now_s: Its capture time.
             timer: Collects the time per stage.
         """
-        if self.reference is None and self._is_stable(patch):
-            axes = self.take_reference(image, patch, now_s, timer)
+        stable = self._is_stable(patch)
+        if self.reference is not None:
+            found = self._measure(self.reference, image, patch, now_s, self._axes.fast(patch, timer), timer)
+            if not self._outgrown(found.rotation, patch, stable):
+                return self._with_carried(found)
+            self._carried = self._with_carried(found)
+        elif stable or self._waited(now_s):
+            self._carried = None
         else:
             axes = self._axes.fast(patch, timer)
-        if self.reference is None:
             return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, axes)
-        reference, name = self.reference, self._settings.estimator
+        axes = self.take_reference(image, patch, now_s, timer)
+        self._provisional = not stable
+        assert self.reference is not None
+        return self._with_carried(self._measure(self.reference, image, patch, now_s, axes, timer))
+
+    def _measure(
+        self,
+        reference: Reference,
+        image: NDArray[np.uint8],
+        patch: Patch,
+        now_s: float,
+        axes: PatchAxes,
+        timer: StageTimer,
+    ) -> RotationMeasurement:
+        """Measure rotation and shift since the reference."""
+        name = self._settings.estimator
         predicted_deg = self._predicted_deg(reference, now_s)
         axis = rotation_of_axes(reference.axes, axes, predicted_deg)
         self._note_gap(now_s)
@@ -240,6 +275,33 @@ class RotationMeter:
         largest, smallest = max(self._areas), min(self._areas)
         return len(self._areas) == STABLE_FRAMES and largest - smallest < STABLE_SHARE * largest
 
+    def _waited(self, now_s: float) -> bool:
+        """Return whether the contact has lasted long enough for a reference although its area still changes."""
+        if self._contact_since_s is None or now_s < self._contact_since_s:
+            self._contact_since_s = now_s
+        return now_s - self._contact_since_s >= STABLE_WAIT_S
+
+    def _outgrown(self, rotation: RotationEstimate, patch: Patch, stable: bool) -> bool:
+        """Return whether a reference that was not stable is to be replaced by this patch, which has grown."""
+        if self.reference is None or not self._provisional:
+            return False
+        if rotation.sigma_deg is None or rotation.sigma_deg > CARRIED_SIGMA_DEG:
+            return False
+        self._provisional = not stable
+        return patch.area_px > GROWN * self.reference.patch.area_px
+
+    def _with_carried(self, found: RotationMeasurement) -> RotationMeasurement:
+        """Add the rotation up to the present reference."""
+        if self._carried is None or found.shift_px is None or self._carried.shift_px is None:
+            return found
+        (dx, dy), (before_x, before_y) = found.shift_px, self._carried.shift_px
+        rotation, before = found.rotation, self._carried.rotation
+        if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
+            total_deg = rotation.rotation_deg + (before.rotation_deg or 0.0)
+            sigma_deg = math.hypot(rotation.sigma_deg, before.sigma_deg or 0.0)
+            rotation = replace(rotation, rotation_deg=total_deg, sigma_deg=sigma_deg)
+        return replace(found, rotation=rotation, shift_px=(dx + before_x, dy + before_y))
+
     def _predicted_deg(self, reference: Reference, now_s: float) -> float:
         """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
         if reference.texture is None or reference.texture.period_deg is None:
@@ -251,7 +313,11 @@ class RotationMeter:
     ) -> RotationEstimate:
         """Decline a rotation that is too uncertain, implausible or the gel's own; add it to the history otherwise."""
         if self.reference is not None:
-            rotation = self.reference.contour.check(rotation, patch)
+            growth = patch.area_px / max(self.reference.patch.area_px, 1)
+            factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
+            rotation = self.reference.contour.check(rotation, patch, factor)
+            if self._reader is None and rotation.sigma_deg is not None:
+                rotation = replace(rotation, sigma_deg=UNKNOWN_SIGMAS * factor * rotation.sigma_deg)
         limit = self._settings.sigma_max_deg
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"

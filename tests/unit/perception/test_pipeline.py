@@ -72,10 +72,21 @@ def test_the_reference_is_the_first_stable_contact() -> None:
     assert {e.declined for e in growing} == {"no reference yet"}
     still = run(pipe, "bar", [20.0] * 6, start=6)
     assert pipe.has_reference
-    assert [e.rotation_deg is None for e in still[:3]] == [True] * 3
     assert still[-1].rotation_deg == pytest.approx(0.0, abs=0.3)
     assert pipe._meter.reference is not None
     assert pipe._meter.reference.patch.area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
+
+
+def test_rotations_while_the_force_grows_count_from_the_first_tenth_of_a_second() -> None:
+    pipe = pipeline()
+    for k in range(40):
+        rotation = 0.5 * max(k - 5, 0)
+        estimate = pipe.process(frame(drawn("bar", 20 + rotation, scale=0.4 + 0.02 * k), k))
+        if k == 6:
+            assert pipe.has_reference
+    assert estimate.rotation_deg == pytest.approx(16.5, abs=0.5)
+    assert pipe._meter.reference is not None
+    assert pipe._meter.reference.patch.area_px > 2000  # it follows while the contact grows from 1,800 px
 
 
 def test_the_reference_may_be_the_first_contact() -> None:

@@ -22,6 +22,7 @@ KEYS = {
     "angle_deg",
     "orientation_deg",
     "sigma_deg",
+    "reference",
     "method",
     "skipped",
     "declined",
@@ -90,6 +91,9 @@ def test_a_rotation_is_measured_with_sign_and_all_keys(rotating: Path, capsys: p
     assert all(isinstance(value, float) for value in seen[-1]["stage_ms"].values())
     assert [line["declined"] for line in seen[:3]] == ["no contact", "no contact", "no reference yet"]
     assert all((line["declined"] is None) == (line["angle_deg"] is not None) for line in seen)
+    first = next(line for line in seen if line["angle_deg"] is not None)
+    assert [line["reference"] for line in seen if line["angle_deg"] is None] == [None] * seen.index(first)
+    assert {line["reference"] for line in seen if line["angle_deg"] is not None} == {first["frame"]}
 
 
 def test_reference_first_measures_from_the_first_contact(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
