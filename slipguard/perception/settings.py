@@ -20,8 +20,7 @@ class PerceptionSettings(BaseModel):
     estimator: EstimatorName = "fused"
     """How the rotation is estimated: one of four axis estimators, registration to the reference, or all fused."""
     reference: Literal["stable", "first"] = "stable"
-    """The reference is the first frame of a stable contact area, 0.1 s after the first contact at the latest, or the first
-    frame with contact."""
+    """The reference is the first frame of a stable contact area, at most 0.1 s late, or the first with contact."""
     threshold: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
     """Probability above which a pixel is contact; None: the threshold stored in the network file."""
     min_area_px: Annotated[int, Field(ge=20, le=20_000)] = 200
