@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from slipguard.perception.contact.patch import MEAN_MIN
 from slipguard.stress.map_checks import (
     Map,
     check_registration_with_itself,
@@ -19,7 +20,7 @@ from slipguard.stress.product_functions import MAP_WIDTH_PX, THRESHOLD, ProductF
 from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
 STYLES = 3
-"""How a mask becomes a map: 0 and 1; just below and just above the threshold; blurred."""
+"""How a mask becomes a map: 0 and 1; at the threshold, and just above the smallest mean of a contact; blurred."""
 STEADY_FRAMES = 6
 
 
@@ -28,7 +29,7 @@ def as_map(mask: Mask, style: int) -> Map:
     if style == 0:
         return mask.astype(np.float32)
     if style == 1:
-        above = np.nextafter(np.float32(THRESHOLD), np.float32(1.0))
+        above = np.nextafter(np.float32(MEAN_MIN), np.float32(1.0))
         return np.where(mask > 0, above, np.float32(THRESHOLD)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.0), np.float32)
 
