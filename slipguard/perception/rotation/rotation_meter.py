@@ -292,15 +292,18 @@ class RotationMeter:
 
     def _with_carried(self, found: RotationMeasurement) -> RotationMeasurement:
         """Add the rotation up to the present reference."""
-        if self._carried is None or found.shift_px is None or self._carried.shift_px is None:
+        if self._carried is None:
             return found
-        (dx, dy), (before_x, before_y) = found.shift_px, self._carried.shift_px
         rotation, before = found.rotation, self._carried.rotation
         if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
             total_deg = rotation.rotation_deg + (before.rotation_deg or 0.0)
             sigma_deg = math.hypot(rotation.sigma_deg, before.sigma_deg or 0.0)
             rotation = replace(rotation, rotation_deg=total_deg, sigma_deg=sigma_deg)
-        return replace(found, rotation=rotation, shift_px=(dx + before_x, dy + before_y))
+        shift, before_shift = found.shift, self._carried.shift
+        if shift is not None and shift.shift_px is not None and before_shift is not None and before_shift.shift_px:
+            (dx, dy), (before_x, before_y) = shift.shift_px, before_shift.shift_px
+            shift = replace(shift, shift_px=(dx + before_x, dy + before_y))
+        return replace(found, rotation=rotation, shift=shift)
 
     def _predicted_deg(self, reference: Reference, now_s: float) -> float:
         """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
