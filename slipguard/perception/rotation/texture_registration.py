@@ -56,8 +56,8 @@ GHOST_SIGMAS = 3.0
 """A ghost above this many of its sigmas is not taken for deformation."""
 UNEVEN_CHANCE = 24.0
 """Uneven deformation explains this over the number of points even in rigid contacts."""
-UNEVEN_MAX = 0.3
-UNEVEN_DEG = 12.0
+UNEVEN_MAX = 0.25
+UNEVEN_DEG = 20.0
 """Sigma of the rotation if uneven deformation explained all that the fit leaves. Rigid contacts of the training objects
 reach a share of 0.01, partial slip 0.1-0.7."""
 FLOOR_DEG = 0.03
