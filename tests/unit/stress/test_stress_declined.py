@@ -66,7 +66,7 @@ def trials_until_checked(name: str) -> int:
 @pytest.mark.parametrize("family", [family.name for family in FAMILIES])
 def test_a_family_fails_if_every_estimate_is_declined(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(runner, "MIN_JUDGED_TRIALS", 8)
-    outcome = run_trials(family, 10, declining()) if family != "drift" else run_trials(family, 1, declining())
+    outcome = run_trials(family, 1 if family in ("drift", "effects") else 10, declining())
     assert outcome.failed
     (failure,) = outcome.rarely_answering
     assert (failure.family, failure.kind) == (family, "limit")
