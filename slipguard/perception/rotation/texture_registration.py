@@ -56,10 +56,12 @@ GHOST_SIGMAS = 3.0
 """A ghost above this many of its sigmas is not taken for deformation."""
 UNEVEN_CHANCE = 24.0
 """Uneven deformation explains this over the number of points even in rigid contacts."""
-UNEVEN_MAX = 0.25
+UNEVEN_MAX = 0.3
 UNEVEN_DEG = 20.0
 """Sigma of the rotation if uneven deformation explained all that the fit leaves. Rigid contacts of the training objects
 reach a share of 0.01, partial slip 0.1-0.7."""
+UNEVEN_FULL_DEG, UNEVEN_LEAST = 1.0, 0.2
+"""Deformation counts in full from this rotation on, and by this share without any: force alone deforms contacts too."""
 FLOOR_DEG = 0.03
 SIGMA_SHARES = (1.25, 0.032, 0.72, 0.25)
 """Shares in sigma of the disagreement of the contact's parts; and of the rotations that would change the texture as
@@ -126,7 +128,8 @@ class TextureFit:
     @property
     def uneven_deg(self) -> float:
         """One standard deviation of the rotation by uneven deformation, which may be that of the contact's rim only."""
-        return UNEVEN_DEG * self.uneven
+        doubted = min(max(abs(self.pose.rotation_deg) / UNEVEN_FULL_DEG, UNEVEN_LEAST), 1.0)
+        return UNEVEN_DEG * doubted * self.uneven
 
     @property
     def deformation(self) -> float:
