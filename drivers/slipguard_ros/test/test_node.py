@@ -150,8 +150,12 @@ def test_grasp_lift_slip_release_through_services(daemon: SimulatedDaemon, node:
 
 
 def test_calibrate_through_a_service(daemon: SimulatedDaemon, node: NodeProcess, ros: RosClient) -> None:
-    response = ros.call("calibrate")
-    assert (response.success, response.message) == (True, "background images of left and right stored")
+    def calibrated() -> bool:  # refused while a busy machine delays frames
+        response = ros.call("calibrate")
+        print(response.message)
+        return bool(response.message == "background images of left and right stored" and response.success)
+
+    wait_until(calibrated, "the gels are calibrated")
 
 
 @pytest.mark.parametrize("times", [int(os.environ.get("SLIPGUARD_ROS_RESTARTS", "3"))])
