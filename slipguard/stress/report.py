@@ -25,6 +25,7 @@ PANELS = (
     ("gray", "white noise on the probability (1 sd)"),
     ("frame noise", "camera noise in gray levels (1 sd), with the network"),
     ("relief noise", "camera noise in gray levels (1 sd), texture only"),
+    ("relief fall", "acceleration of a toothed object in degrees/s2"),
     ("aspect, outline 0 px", "aspect ratio, no contour error"),
     ("aspect, outline 0.2 px", "aspect ratio, contour error 0.2 px"),
     ("aspect, outline 0.4 px", "aspect ratio, contour error 0.4 px"),
@@ -116,7 +117,7 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
         )
     console.print(table)
     console.print(
-        "estimated: share not declined; wrong: error above 5 sigma and 3°; limits: values above a limit below, or too "
+        "estimated: share not declined; wrong: error above 4 sigma; limits: values above a limit below, or too "
         "few estimates; worst, sigmas: largest error, and largest error in units of its sigma",
         style="dim",
     )

@@ -56,11 +56,18 @@ def plate(u: Heights, v: Heights) -> Heights:
     return np.asarray(9.0 * np.exp(-away * away / 120.0), np.float32)
 
 
-def gear(u: Heights, v: Heights) -> Heights:
-    """A gear with twelve teeth: its period is 30 degrees."""
-    radius = np.hypot(u, v)
-    ribs = 3.0 * np.cos(12 * np.arctan2(v, u)) * np.exp(-((radius - 40.0) ** 2) / 120.0)
-    return np.asarray(ball(u, v) + ribs, np.float32)
+def toothed(teeth: int) -> Surface:
+    """Return a gear with a number of teeth: its period is 360 degrees over that."""
+
+    def surface(u: Heights, v: Heights) -> Heights:
+        ribs = 3.0 * np.cos(teeth * np.arctan2(v, u)) * np.exp(-((np.hypot(u, v) - 40.0) ** 2) / 120.0)
+        return np.asarray(ball(u, v) + ribs, np.float32)
+
+    return surface
+
+
+gear = toothed(12)
+gear.__name__ = "gear"
 
 
 def nut(u: Heights, v: Heights) -> Heights:

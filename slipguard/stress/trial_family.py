@@ -16,11 +16,8 @@ from slipguard.perception.estimate import Estimate
 from slipguard.stress.product_functions import ProductFunctions
 
 FailureKind = Literal["crash", "nan", "confident wrong", "limit"]
-WRONG_DEG = 3.0
-"""Smaller errors never count as confident and wrong."""
-WRONG_SIGMAS = 5.0
-CLAIM_SIGMAS = 3.0
-"""Where no rotation is visible, an estimated rotation of more than this many of its own sigmas is wrong."""
+WRONG_SIGMAS = 4.0
+"""An error of more than this many of its own sigmas is confident and wrong, however many degrees it has."""
 KEPT_FAILURES = 20
 
 Result = TypeVar("Result")
@@ -114,8 +111,7 @@ class FamilyResults:
             return None
         error = angle_deg - (0.0 if truth_deg is None else truth_deg)
         error = abs(math.remainder(error, 180.0) if axial else error)
-        sigmas = CLAIM_SIGMAS if truth_deg is None else WRONG_SIGMAS
-        if error > WRONG_DEG and error > sigmas * sigma_deg:
+        if error > WRONG_SIGMAS * sigma_deg:
             truth = "no rotation is visible" if truth_deg is None else f"true {truth_deg:+.2f}°"
             self.add_failure("confident wrong", f"{label}: {angle_deg:+.2f}° ± {sigma_deg:.2f}°, {truth}")
         if truth_deg is None:
