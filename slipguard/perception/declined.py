@@ -30,7 +30,6 @@ class DeclineReason(StrEnum):
     REGAINED = "rotation after a gap not confirmed yet"
     SEVERAL_ROTATIONS = "texture fits at several rotations"
     SHIFT_AMBIGUOUS = "periodic texture, shift ambiguous"
-    SHIFT_INVISIBLE = "smooth shaft without a visible end, shift along it not visible"
     DEFORMED = "contact deforms unevenly"
     GEL_MEMORY = "gel shows an earlier imprint"
     NOT_A_NUMBER = "not a number"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import cv2
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, FrameTorn, InputError
 from slipguard.perception.contact.change_detector import ChangeDetector
-from slipguard.perception.contact.gate import Blocks, ContactGate, block_means, blocks_near
+from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks, ContactGate, block_means, blocks_near
 from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import Estimate, StageTimer
@@ -23,11 +23,14 @@ from slipguard.perception.quality.image_quality import ImageQuality
 from slipguard.perception.quality.torn_frame import TornFrames
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import AxisEstimation, fuse_axes
-from slipguard.perception.rotation.fusion import widen_for_light
+from slipguard.perception.rotation.fusion import RotationEstimate, widen_for_light
 from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
+
+SEGMENT_S = 0.11
+"""The network runs again after this time at the latest: on every seventh frame at 60 Hz."""
 
 
 class ContactSegmenter(Protocol):
@@ -40,6 +43,20 @@ class ContactSegmenter(Protocol):
     def input_size(self) -> tuple[int, int]: ...
 
     def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _WholeContact:
+    """The last segmented contact: block means, its estimate, and its difference in light.
+
+    near, around: (1200,) bool, the blocks in and next to it, and one further, which it may reach until the next one.
+    """
+
+    blocks: Blocks
+    near: NDArray[np.bool_]
+    around: NDArray[np.bool_]
+    estimate: Estimate
+    difference_levels: float
 
 
 class Pipeline:
@@ -98,6 +115,7 @@ class Pipeline:
             self._changes = ChangeDetector(self._gate.inverse_std, self._gate.background)
         self._patch: Patch | None = None
         self._measured: Estimate | None = None
+        self._whole: _WholeContact | None = None
         self.reset_reference()
 
     def reset_reference(self) -> None:
@@ -163,6 +181,12 @@ class Pipeline:
             self._torn.note_good(image, now_s)
             return replace(repeated, stage_ms=timer.stage_ms)
 
+        by_texture = self._measure_texture(image, blocks, frame, timer)
+        if by_texture is not None:
+            self._note_measured(blocks, self._whole.near if self._whole is not None else None, unchanged, by_texture)
+            return by_texture
+
+        self._whole = None
         probability = self._segmenter.segment(image, self._background)
         timer.mark("segment")
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
@@ -186,7 +210,50 @@ class Pipeline:
         rotation = widen_for_light(measurement.rotation, quality.difference_levels - self._reference_difference_levels)
         shift = measurement.shift
         axis_deg = fuse_axes(list(measurement.axes.values())).angle_deg
-        estimate = Estimate(
+        orientation_deg = None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg)
+        estimate = self._estimate(frame, patch, rotation, shift, orientation_deg, timer)
+        timer.mark("track")
+        self._note_measured(blocks, near, unchanged, estimate)
+        if rotation.rotation_deg is not None and shift is not None:
+            around = blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))
+            self._whole = _WholeContact(blocks, near, around, estimate, quality.difference_levels)
+        return estimate
+
+    def _measure_texture(
+        self, image: NDArray[np.uint8], blocks: Blocks, frame: Frame, timer: StageTimer
+    ) -> Estimate | None:
+        """Return the estimate by the texture alone, if the contact has only moved since it was segmented."""
+        whole, patch, now_s = self._whole, self._patch, frame.captured_at_s
+        if whole is None or patch is None or not self._skips.whole:
+            return None
+        if not 0.0 <= now_s - whole.estimate.captured_at_s < SEGMENT_S:
+            return None
+        if self._gate.changed(blocks, whole.blocks, ~whole.around):
+            return None
+        measurement = self._meter.measure_texture(image, patch, now_s)
+        timer.mark("relief")
+        if measurement is None or measurement.shift is None:
+            return None
+        levels = whole.difference_levels - self._reference_difference_levels
+        rotation, before = widen_for_light(measurement.rotation, levels), whole.estimate
+        orientation_deg = before.orientation_deg
+        if orientation_deg is not None and rotation.rotation_deg is not None and before.rotation_deg is not None:
+            orientation_deg = wrap_axial_deg(orientation_deg + rotation.rotation_deg - before.rotation_deg)
+        estimate = self._estimate(frame, patch, rotation, measurement.shift, orientation_deg, timer)
+        timer.mark("track")
+        return estimate
+
+    def _estimate(
+        self,
+        frame: Frame,
+        patch: Patch,
+        rotation: RotationEstimate,
+        shift: ShiftMeasurement | None,
+        orientation_deg: float | None,
+        timer: StageTimer,
+    ) -> Estimate:
+        now_s = frame.captured_at_s
+        return Estimate(
             sequence=frame.sequence,
             captured_at_s=now_s,
             measured_at_s=now_s,
@@ -195,7 +262,7 @@ class Pipeline:
             method=self._settings.estimator,
             rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
-            orientation_deg=None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg),
+            orientation_deg=orientation_deg,
             rate_deg_s=None if rotation.rotation_deg is None else self._meter.rate_deg_s(now_s),
             shift_mm=None if shift is None or shift.shift_px is None else self._shift_mm(shift.shift_px),
             shift_declined=None if shift is None else self._shift_declined(shift),
@@ -204,9 +271,6 @@ class Pipeline:
             unconfirmed=rotation.unconfirmed,
             stage_ms=timer.stage_ms,
         )
-        timer.mark("track")
-        self._note_measured(blocks, near, unchanged, estimate)
-        return estimate
 
     def keep_estimate(self, captured_at_s: float) -> None:
         """Note a frame that is not processed because the other finger showed that nothing rotates."""
@@ -286,13 +350,11 @@ class Pipeline:
             self._changes.add(blocks, near, estimate.captured_at_s, unchanged)
 
     def _forget_measured(self) -> None:
-        self._measured = None
+        self._measured = self._whole = None
         if self._changes is not None:
             self._changes.reset()
 
     def _shift_declined(self, shift: ShiftMeasurement) -> str | None:
-        if shift.invisible:
-            return str(DeclineReason.SHIFT_INVISIBLE)
         if shift.period_px is None:
             return None
         return explain(DeclineReason.SHIFT_AMBIGUOUS, f"by {shift.period_px / self._px_per_mm:.2f} mm")

@@ -25,12 +25,13 @@ class Skips:
     """Which stages may be skipped; switched off only to measure what each saves.
 
     no_contact: the network, without contact. unchanged: everything, on an unchanged image. round: thinning of a round
-    patch.
+    patch. whole: the network, while the texture shows that the contact moves as a whole.
     """
 
     no_contact: bool = True
     unchanged: bool = True
     round: bool = True
+    whole: bool = True
 
 
 ALL_SKIPS = Skips()

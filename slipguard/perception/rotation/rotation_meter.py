@@ -26,8 +26,9 @@ from slipguard.perception.rotation.gel_contour import GelContour
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
+from slipguard.perception.rotation.texture_registration import TextureFit
 from slipguard.perception.rotation.texture_template import make_texture_template
-from slipguard.perception.rotation.texture_tracker import TextureTracker
+from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
 from slipguard.perception.settings import PerceptionSettings
 
 STABLE_FRAMES = 5
@@ -46,6 +47,10 @@ GROWTH_SIGMAS = 2.0
 without a background image: force changes their contour in other ways than a rotation."""
 MISFIT_SIGMAS = 1.5
 """If the contour is not the reference's any more, the axis is off too: by this share of the contour's misfit."""
+WHOLE_SCALE, WHOLE_GAIN, WHOLE_ALIKE = 0.02, 0.1, 0.03
+WHOLE_DEG, WHOLE_PX = 8.0, 3.0
+"""Changes since the last segmentation up to which a contact moves as a whole: shares of scale and strength, correlation
+with the reference, rotation and shift (texture pixels)."""
 SECOND_START_DEG = 4.0
 """If the axis points further away than this from the registered contour, registration also starts from there."""
 
@@ -119,6 +124,8 @@ class RotationMeter:
         self._contact_since_s: float | None = None
         self._provisional = False
         self._carried: RotationMeasurement | None = None
+        self._whole_fit: TextureFit | None = None
+        self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Return the rotation rate at `now_s`; None if unknown."""
@@ -188,9 +195,10 @@ class RotationMeter:
             rotation = fuse_rotation(None, None, axis)
             return RotationMeasurement(self._accept(now_s, rotation, patch), ShiftMeasurement(center_shift_px), axes)
 
-        texture_map = self._read_texture(reference, image, patch)
-        found = None
-        if texture_map is not None and reference.texture is not None:
+        (tried_at_s, texture_map, found), self._tried = self._tried, (-math.inf, None, None)
+        if tried_at_s != now_s:
+            texture_map, found = self._read_texture(reference, image, patch), None
+        if texture_map is not None and reference.texture is not None and found is None:
             if lost and reference.texture.period_deg is None:
                 found = reference.texture.search_everywhere(texture_map, patch, predicted_deg)
                 if found.rotation.rotation_deg is not None:
@@ -199,6 +207,7 @@ class RotationMeter:
             else:
                 found = reference.texture.track(texture_map, patch, predicted_deg, axis)
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
+        self._whole_fit = None if found is None else found.fit
         texture = None if found is None else found.rotation
 
         remembers = reference.texture is not None and reference.texture.remembers
@@ -228,6 +237,33 @@ class RotationMeter:
         )
         shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
         return RotationMeasurement(self._accept(now_s, rotation, patch), shift, axes)
+
+    def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
+        """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
+
+        It is enough while the texture is certain and has moved as a whole: neither its scale, its strength nor its
+        correlation with the reference have changed since `measure`.
+        """
+        reference, before = self.reference, self._whole_fit
+        if reference is None or reference.texture is None or before is None or self._tracker.offered_deg is not None:
+            return None
+        if self._provisional or self._carried is not None:
+            return None
+        if self._settings.estimator not in ("fused", "registration") or now_s - self._tracker.known_at_s > GAP_S:
+            return None
+        predicted_deg = self._predicted_deg(reference, now_s)
+        self._note_gap(now_s)
+        texture_map = self._read_texture(reference, image, patch)
+        if texture_map is None or reference.texture.ambiguous:
+            return None
+        found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None))
+        self._tried = now_s, texture_map, found
+        if found.fit is None or not is_certain(found.rotation):
+            return None
+        if found.smooth is not None or not _moved_as_a_whole(found.fit, before):
+            return None
+        shift = reference.shift.follow(now_s, found)
+        return RotationMeasurement(self._accept(now_s, found.rotation, patch, by_texture=True), shift, {})
 
     def take_reference(
         self,
@@ -263,6 +299,7 @@ class RotationMeter:
         self.reference = Reference(image, axes, patch, texture, contour, patch.center_px, shift)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
+        self._whole_fit = None
         self._template = None
         self._pose = ContourPose(rotation_deg or 0.0)
         return axes
@@ -377,3 +414,14 @@ class RotationMeter:
         other = registrar.fit(ContourPose(axis_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
+
+
+def _moved_as_a_whole(fit: TextureFit, before: TextureFit) -> bool:
+    pose, earlier = fit.pose, before.pose
+    return (
+        abs(pose.scale - earlier.scale) <= WHOLE_SCALE
+        and abs(pose.gain - earlier.gain) <= WHOLE_GAIN
+        and fit.alike >= before.alike - WHOLE_ALIKE
+        and abs(pose.rotation_deg - earlier.rotation_deg) <= WHOLE_DEG
+        and math.hypot(pose.dx_px - earlier.dx_px, pose.dy_px - earlier.dy_px) <= WHOLE_PX
+    )

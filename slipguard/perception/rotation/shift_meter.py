@@ -47,13 +47,11 @@ Direction = tuple[float, float]
 class ShiftMeasurement:
     """Shift since the reference in frame pixels, right and down; None if it is unknown.
 
-    period_px: the shift is ambiguous by multiples of this. invisible: nothing shows a shift along the contact.
-    slides: the texture moves by an unknown number of periods.
+    period_px: the shift is ambiguous by multiples of this. slides: the texture moves by an unknown number of periods.
     """
 
     shift_px: tuple[float, float] | None
     period_px: float | None = None
-    invisible: bool = False
     slides: bool = False
 
 
@@ -65,6 +63,7 @@ class ShiftMeter:
         self._patch = patch
         self._period: tuple[tuple[float, float] | None] | None = None
         self._recent: deque[tuple[float, float, float]] = deque()
+        self._beyond_px = (0.0, 0.0)
 
     @property
     def period(self) -> tuple[float, float] | None:
@@ -84,6 +83,7 @@ class ShiftMeter:
             found: Its texture; None if the reference has none.
             contour_px: Shift of the contour, frame pixels.
         """
+        self._beyond_px = (0.0, 0.0)
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
@@ -97,9 +97,18 @@ class ShiftMeter:
         offset_px = end_offset_px(self._patch, patch, shift_px, along, rotation_deg)
         if found.smooth is None and (offset_px is None or abs(offset_px) < END_PX):
             return ShiftMeasurement(shift_px)
-        if offset_px is None:
-            return ShiftMeasurement(None, invisible=True)
-        return ShiftMeasurement((shift_px[0] + offset_px * along[0], shift_px[1] + offset_px * along[1]))
+        if offset_px is None:  # only the contour is left: a taper shows a shift, a cylinder does not
+            offset_px = (contour_px[0] - shift_px[0]) * along[0] + (contour_px[1] - shift_px[1]) * along[1]
+        self._beyond_px = (offset_px * along[0], offset_px * along[1])
+        return ShiftMeasurement((shift_px[0] + self._beyond_px[0], shift_px[1] + self._beyond_px[1]))
+
+    def follow(self, now_s: float, found: TrackedTexture) -> ShiftMeasurement:
+        """Return the shift in a frame without a segmented contact; its ends are where they were in the texture."""
+        if self.period is not None:
+            period_px = REDUCTION * math.hypot(*self.period)
+            return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
+        x, y = found.shift_px or (0.0, 0.0)
+        return ShiftMeasurement((x + self._beyond_px[0], y + self._beyond_px[1]))
 
     def _suspect_direction(self, patch: Patch, shift_px: tuple[float, float]) -> Direction | None:
         """Return the direction in which the ends are to be measured: the center has moved differently, or is cut."""

@@ -67,6 +67,7 @@ class TrackedTexture:
     shift_px: frame pixels right and down. deformation: factor on sigmas; 1 if the contact has not deformed.
     smooth: the direction (right, down; of length 1) along which the texture shows no shift; None if there is none.
     uneven_deg: sigma by uneven deformation, which the contour has as well.
+    fit: its registration to the reference; None if a key was used.
     """
 
     rotation: RotationEstimate
@@ -74,6 +75,7 @@ class TrackedTexture:
     shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
     uneven_deg: float = 0.0
+    fit: TextureFit | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,6 +195,7 @@ class TextureTracker:
         if fit.declined is None and fit.alike > MEMORY_ALIKE:
             self._memory.update(fit.ghost)
         found = self._tracked(self._first, fit, (fit.pose.dx_px, fit.pose.dy_px), fit.pose.rotation_deg, 0.0)
+        found = replace(found, fit=fit)
         sigma = found.rotation.sigma_deg
         by_key = False
         own_sigma = sigma_deg(fit)  # possible memory of the gel does not call for a key, which it would spoil too

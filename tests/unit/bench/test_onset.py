@@ -51,7 +51,7 @@ def test_a_slip_after_rest_is_detected_at_most_one_frame_later(onset: SlipOnset)
         return estimate
 
     skipping = pipeline(grasp, ALL_SKIPS)
-    measuring = pipeline(grasp, Skips(unchanged=False))
+    measuring = pipeline(grasp, Skips(unchanged=False, whole=False))
     delay = detection_delay(first_detection(counted, frames), first_detection(measuring.process, frames), len(frames))
     assert delay is not None
     assert delay <= 1

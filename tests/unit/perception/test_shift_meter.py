@@ -102,14 +102,6 @@ def test_a_fast_slide_of_a_smooth_shaft_shows_at_its_end() -> None:
     assert seen_at_mm == 5.0
 
 
-def test_a_smooth_shaft_across_the_whole_frame_shows_no_shift_along_itself() -> None:
-    finger = Finger(Shaft(radius_mm=2.5).raster(), 3)
-    last = [finger.see(0.0) for _ in range(REST_FRAMES)][-1]
-    assert last.shift_mm is None
-    assert last.shift_declined == DeclineReason.SHIFT_INVISIBLE
-    assert last.has_reference
-
-
 @pytest.mark.parametrize("name", ["wrench", "key", "wedge", "bar", "knife_edge", "hook"])
 def test_other_objects_have_a_shift(name: str) -> None:
     finger = Finger(None, 3, name, 0.6 * bench_object(name)[0].press_mm)
