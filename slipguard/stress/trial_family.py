@@ -17,7 +17,9 @@ from slipguard.stress.product_functions import ProductFunctions
 
 FailureKind = Literal["crash", "nan", "confident wrong", "limit"]
 WRONG_SIGMAS = 4.0
-"""An error of more than this many of its own sigmas is confident and wrong, however many degrees it has."""
+"""A rotation whose error exceeds this many of its own sigmas is confident and wrong, however many degrees it has."""
+DRAWN_SIGMAS = 5.0
+"""The same where errors are drawn from a normal distribution with that sigma: one in 16,000 exceeds 4 by chance."""
 KEPT_FAILURES = 20
 
 Result = TypeVar("Result")
@@ -87,13 +89,21 @@ class FamilyResults:
         return True
 
     def check_angle(
-        self, label: str, angle_deg: float | None, sigma_deg: float | None, truth_deg: float | None, *, axial: bool
+        self,
+        label: str,
+        angle_deg: float | None,
+        sigma_deg: float | None,
+        truth_deg: float | None,
+        *,
+        axial: bool,
+        sigmas: float = DRAWN_SIGMAS,
     ) -> float | None:
         """Check one estimate against the truth.
 
         Args:
             truth_deg: None if no rotation is visible, so that none may be estimated with confidence.
             axial: Whether angles are equal modulo 180 degrees.
+            sigmas: From how many sigmas an error is confident and wrong.
 
         Returns:
             The absolute error in degrees; None if the estimate was declined, is invalid, or has no truth.
@@ -111,7 +121,7 @@ class FamilyResults:
             return None
         error = angle_deg - (0.0 if truth_deg is None else truth_deg)
         error = abs(math.remainder(error, 180.0) if axial else error)
-        if error > WRONG_SIGMAS * sigma_deg:
+        if error > sigmas * sigma_deg:
             truth = "no rotation is visible" if truth_deg is None else f"true {truth_deg:+.2f}°"
             self.add_failure("confident wrong", f"{label}: {angle_deg:+.2f}° ± {sigma_deg:.2f}°, {truth}")
         if truth_deg is None:
@@ -123,7 +133,9 @@ class FamilyResults:
     def check_rotation(self, label: str, estimate: Estimate, truth_deg: float | None) -> float | None:
         """Check the rotation of a pipeline's estimate, as `check_angle` does, and that its other fields are finite."""
         self.check_finite("pipeline", estimate.orientation_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
-        return self.check_angle(label, estimate.rotation_deg, estimate.sigma_deg, truth_deg, axial=False)
+        return self.check_angle(
+            label, estimate.rotation_deg, estimate.sigma_deg, truth_deg, axial=False, sigmas=WRONG_SIGMAS
+        )
 
     def check_limit(self, what: str, value: float, at_most: float) -> None:
         """Keep the largest value, and count a failure if it exceeds the specified limit or is not finite."""

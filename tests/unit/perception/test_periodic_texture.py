@@ -160,7 +160,6 @@ def test_other_textures_are_measured_after_any_gap() -> None:
     for _ in range(3):
         held.see(0.0)
     after = [held.see(8.0, 5.0), held.see(8.0), held.see(8.0)]
-    assert [one.decline_reason for one in after[:2]] == [DeclineReason.REGAINED] * 2
     assert after[2].rotation_deg == pytest.approx(8.0, abs=0.5)
 
 
