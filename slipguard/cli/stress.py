@@ -20,7 +20,7 @@ def stress(
 ) -> None:
     """Test the estimators with hard inputs: degenerate masks, noise, nearly round contacts, NaN, odd clocks.
 
-    Exits 1 if an estimator crashed, returned NaN, was confidently wrong (error above 4 sigma) or exceeded
+    Exits 1 if an estimator crashed, returned NaN, was confidently wrong (pipeline above 4 sigma) or exceeded
     a specified limit.
 
     Example: `slipguard stress --seconds 60 --out stress/`, `slipguard stress --only noise --seed 136 --seconds 1`

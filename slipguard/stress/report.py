@@ -117,7 +117,7 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
         )
     console.print(table)
     console.print(
-        "estimated: share not declined; wrong: error above 4 sigma; limits: values above a limit below, or too "
+        "estimated: share not declined; wrong: pipeline above 4 sigma; limits: values above a limit below, or too "
         "few estimates; worst, sigmas: largest error, and largest error in units of its sigma",
         style="dim",
     )

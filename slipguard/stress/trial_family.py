@@ -16,10 +16,13 @@ from slipguard.perception.estimate import Estimate
 from slipguard.stress.product_functions import ProductFunctions
 
 FailureKind = Literal["crash", "nan", "confident wrong", "limit"]
-WRONG_SIGMAS = 4.0
-"""A rotation whose error exceeds this many of its own sigmas is confident and wrong, however many degrees it has."""
-DRAWN_SIGMAS = 5.0
-"""The same where errors are drawn from a normal distribution with that sigma: one in 16,000 exceeds 4 by chance."""
+PIPELINE_SIGMAS = 4.0
+"""A rotation of the pipeline is confident and wrong beyond this many of its own sigmas, however small the error is."""
+WRONG_DEG = 3.0
+"""Smaller errors of single functions on drawn input never count as confident and wrong."""
+WRONG_SIGMAS = 5.0
+CLAIM_SIGMAS = 3.0
+"""Where no rotation is visible, an estimated rotation of more than this many of its own sigmas is wrong."""
 KEPT_FAILURES = 20
 
 Result = TypeVar("Result")
@@ -96,14 +99,14 @@ class FamilyResults:
         truth_deg: float | None,
         *,
         axial: bool,
-        sigmas: float = DRAWN_SIGMAS,
+        pipeline: bool = False,
     ) -> float | None:
         """Check one estimate against the truth.
 
         Args:
             truth_deg: None if no rotation is visible, so that none may be estimated with confidence.
             axial: Whether angles are equal modulo 180 degrees.
-            sigmas: From how many sigmas an error is confident and wrong.
+            pipeline: Whether it is a rotation of the pipeline.
 
         Returns:
             The absolute error in degrees; None if the estimate was declined, is invalid, or has no truth.
@@ -121,7 +124,9 @@ class FamilyResults:
             return None
         error = angle_deg - (0.0 if truth_deg is None else truth_deg)
         error = abs(math.remainder(error, 180.0) if axial else error)
-        if error > sigmas * sigma_deg:
+        sigmas = CLAIM_SIGMAS if truth_deg is None else WRONG_SIGMAS
+        least_deg, sigmas = (0.0, PIPELINE_SIGMAS) if pipeline and truth_deg is not None else (WRONG_DEG, sigmas)
+        if error > least_deg and error > sigmas * sigma_deg:
             truth = "no rotation is visible" if truth_deg is None else f"true {truth_deg:+.2f}°"
             self.add_failure("confident wrong", f"{label}: {angle_deg:+.2f}° ± {sigma_deg:.2f}°, {truth}")
         if truth_deg is None:
@@ -133,9 +138,7 @@ class FamilyResults:
     def check_rotation(self, label: str, estimate: Estimate, truth_deg: float | None) -> float | None:
         """Check the rotation of a pipeline's estimate, as `check_angle` does, and that its other fields are finite."""
         self.check_finite("pipeline", estimate.orientation_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
-        return self.check_angle(
-            label, estimate.rotation_deg, estimate.sigma_deg, truth_deg, axial=False, sigmas=WRONG_SIGMAS
-        )
+        return self.check_angle(label, estimate.rotation_deg, estimate.sigma_deg, truth_deg, axial=False, pipeline=True)
 
     def check_limit(self, what: str, value: float, at_most: float) -> None:
         """Keep the largest value, and count a failure if it exceeds the specified limit or is not finite."""

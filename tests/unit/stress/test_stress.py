@@ -213,9 +213,9 @@ def test_an_error_counts_as_confidently_wrong_above_its_sigmas() -> None:
 
     assert counted(10.0, 1.0, 0.0) == 1
     assert counted(10.0, 2.1, 0.0) == 0
-    assert counted(0.6, 0.1, 0.0) == 1
+    assert counted(2.9, 0.1, 0.0) == 0
     assert counted(178.0, 0.1, 0.0, axial=True) == 0
-    assert counted(10.0, 1.9, None) == 1
+    assert counted(10.0, 3.0, None) == 1
     assert counted(10.0, 3.4, None) == 0
     assert counted(None, None, 0.0) == 0
     assert counted(math.nan, 1.0, 0.0) == 1
