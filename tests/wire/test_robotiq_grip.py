@@ -156,6 +156,26 @@ async def test_a_gripper_that_only_times_out_is_lost(emulator: RobotiqEmulator) 
     await gripper.close()
 
 
+async def test_a_gripper_is_not_lost_by_a_single_silent_call(
+    emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
+    await gripper.open()
+    monkeypatch.setattr(gripper, "_silent_max_s", 0.0)  # as after a call that waited long
+    for _ in range(2):
+        emulator.control("fault silence")
+        with pytest.raises(DeviceTimeout):
+            await gripper.state()
+        emulator.control("clear silence")
+        assert (await gripper.state()).active
+    emulator.control("fault silence")
+    with pytest.raises(DeviceTimeout):
+        await gripper.state()
+    with pytest.raises(DeviceLost):
+        await gripper.state()
+    await gripper.close()
+
+
 @each_model
 async def test_jaws_that_stand_apart_without_an_object_are_at_rest(
     emulator: RobotiqEmulator, gripper: RobotiqGripper, monkeypatch: pytest.MonkeyPatch

@@ -47,7 +47,9 @@ ACTIVATION_ECHO_S = 0.1
 """A commanded activation must be visible in the status after this time; the gripper's cycle is 5 ms."""
 MAY_STILL_MOVE = "its activation was commanded and may still move the jaws fully, until it responds again"
 SILENT_S = 1.0
-"""A gripper that answers nothing for this time, and for two calls, is lost; its own limit for its master is 1 s too."""
+SILENT_CALLS = 2
+"""A gripper that answers nothing for this time, and for so many calls, is lost; its own limit for its master is
+1 s too."""
 
 
 class RobotiqSettings(BaseModel):
@@ -108,6 +110,8 @@ class RobotiqGripper(Gripper):
         self._activation_sent_s = -math.inf
         self._silent_since_s = math.inf
         """Since when the gripper has answered no request for its status."""
+        self._silent_calls = 0
+        """How many calls of `state` in a row it has not answered."""
         self._silent_max_s = max(SILENT_S, 2.0 * self._call_max_s)
 
     @property
@@ -117,7 +121,7 @@ class RobotiqGripper(Gripper):
 
     async def open(self) -> None:
         """Connect and read the status. A gripper that is not activated stays so until `activate`."""
-        self._closing_down, self._silent_since_s = False, math.inf
+        self._closing_down, self._silent_since_s, self._silent_calls = False, math.inf, 0
         if not self._modbus.connected:
             self._forget_grip()  # another program may have changed it meanwhile
             try:
@@ -133,13 +137,14 @@ class RobotiqGripper(Gripper):
             raise
 
     async def state(self) -> GripperState:
-        """Read the status now. Raises DeviceLost if the gripper has answered nothing for `SILENT_S`."""
+        """Read the status now. Raises DeviceLost if the gripper has answered nothing for `SILENT_S` and two calls."""
         loop = asyncio.get_running_loop()
         self._silent_since_s = min(self._silent_since_s, loop.time())
         try:
             status = await self._complete(self._status(self._deadline_s()))
         except DeviceTimeout as error:
-            if loop.time() - self._silent_since_s < self._silent_max_s:
+            self._silent_calls += 1
+            if self._silent_calls < SILENT_CALLS or loop.time() - self._silent_since_s < self._silent_max_s:
                 raise
             self._modbus.close()
             raise DeviceLost(str(error)) from None
@@ -328,7 +333,7 @@ class RobotiqGripper(Gripper):
         status = registers.decode(words)
         if not status.ready:
             self._forget_grip()  # it lost power, or another program has reset it
-        now_s, self._silent_since_s = asyncio.get_running_loop().time(), math.inf
+        now_s, self._silent_since_s, self._silent_calls = asyncio.get_running_loop().time(), math.inf, 0
         if status.activated or now_s > self._activation_sent_s + ACTIVATION_ECHO_S:
             self._activating = status.activated and not status.ready
         self._jaws.update(status, now_s)

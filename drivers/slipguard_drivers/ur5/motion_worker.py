@@ -92,9 +92,11 @@ class MotionControl:
 
     def leave(self) -> bool:
         """End the control script, so that other programs can use the robot; a moving arm brakes."""
-        if self._control.isProgramRunning():  # a paused script executes nothing
-            self._write_mark([0.0, 0.0, 0.0])
-        self._control.stopScript()
+        try:
+            if self._control.isProgramRunning():  # a paused script executes nothing
+                self._write_mark([0.0, 0.0, 0.0])
+        finally:
+            self._control.stopScript()
         return True
 
     def _write_mark(self, mark: list[float]) -> None:
