@@ -28,12 +28,14 @@ class EffectErrors:
     """Results on grasps with one effect; picklable.
 
     found: (absolute error, sigma) of each rotation. zero, axis: absolute errors of the two baselines; the axis counts
-    where it exists. shifts: absolute errors of the reported shifts, mm.
+    where it exists, in the segmented frames, of which there are axis_compared. shifts: absolute errors of
+    the reported shifts, mm.
     """
 
     compared: int = 0
     found: list[tuple[float, float]] = field(default_factory=list)
     zero: list[float] = field(default_factory=list)
+    axis_compared: int = 0
     axis: list[float] = field(default_factory=list)
     shifts_mm: list[float] = field(default_factory=list)
 
@@ -41,6 +43,7 @@ class EffectErrors:
         self.compared += other.compared
         self.found += other.found
         self.zero += other.zero
+        self.axis_compared += other.axis_compared
         self.axis += other.axis
         self.shifts_mm += other.shifts_mm
 
@@ -98,7 +101,7 @@ def effect_result(effect: str, errors: EffectErrors, grasps: int) -> EffectResul
         error_over_sigma_p99=quantile(sigmas, 0.99),
         shift_wrong_share=mean(float(one > WRONG_SHIFT_MM) for one in shifts),
         zero=_baseline(errors.zero, errors.compared),
-        paper_axis=_baseline(errors.axis, errors.compared),
+        paper_axis=_baseline(errors.axis, errors.axis_compared),
     )
 
 
@@ -123,13 +126,17 @@ def _measure(item: _EffectItem) -> EffectErrors:
         if not estimate.contact:
             continue
         area_px = estimate.contact_area_px
-        axis = rotation.estimate(shot.frame, _thinned_axis_deg(processor.last_mask), area_px, "skeleton")
+        axis_deg: float | None = None
+        if estimate.segmented:
+            thinned_deg = _thinned_axis_deg(processor.last_mask)
+            axis_deg = rotation.estimate(shot.frame, thinned_deg, area_px, "skeleton").rotation_deg
         if not shot.compared:
             continue
         errors.compared += 1
         errors.zero.append(abs(shot.rotation_deg))
-        if axis.rotation_deg is not None:
-            errors.axis.append(abs(axis.rotation_deg - shot.rotation_deg))
+        errors.axis_compared += estimate.segmented
+        if axis_deg is not None:
+            errors.axis.append(abs(axis_deg - shot.rotation_deg))
         if estimate.rotation_deg is not None and estimate.sigma_deg is not None:
             errors.found.append((abs(estimate.rotation_deg - shot.rotation_deg), estimate.sigma_deg))
         if estimate.shift_mm is not None and shot.shift_mm is not None:

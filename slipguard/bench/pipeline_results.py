@@ -59,7 +59,7 @@ class PipelineResults:
         self._add_time(estimate, 1e3 * (time.perf_counter() - start_s))
         if shot.contact and shot.mask is not None:
             label = shot.mask > 0
-            if estimate.skipped is None:
+            if estimate.skipped is None and estimate.segmented:
                 found = processor.last_mask > 0
                 self.overlaps.append((dice(found, label), iou(found, label)))
             elif estimate.skipped == "no contact" and label.any():

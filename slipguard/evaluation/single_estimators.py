@@ -37,7 +37,7 @@ class PatchRecorder:
     def process(self, frame: Frame) -> Estimate:
         result = self._pipeline.process(frame)
         patch = self._pipeline.last_patch
-        if patch is not None and result.skipped is None and self._pipeline.has_reference:
+        if patch is not None and result.skipped is None and result.segmented and self._pipeline.has_reference:
             self._patches.append(TimedPatch(self._finger, frame.captured_at_s, patch))
         return result
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from pydantic.json_schema import SkipJsonSchema
+
 
 @dataclass(frozen=True, slots=True)
 class AxisEstimate:
@@ -52,6 +54,7 @@ class Estimate:
     skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
     declined: None, or why there is no angle, a `DeclineReason` with details after a colon.
     unconfirmed: a declined rotation that counts if the other finger confirms it.
+    segmented: False if contact area and mask are an earlier frame's; not recorded.
     """
 
     sequence: int
@@ -71,6 +74,7 @@ class Estimate:
     declined: str | None = None
     unconfirmed: UnconfirmedRotation | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
+    segmented: SkipJsonSchema[bool] = True
 
     @property
     def has_reference(self) -> bool:

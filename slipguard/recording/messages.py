@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import json
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import to_json
@@ -82,9 +82,15 @@ T = TypeVar("T")
 
 
 class Json(Generic[T]):
-    """Encodes one message type as exact JSON, infinities as text."""
+    """Encodes one message type as exact JSON, infinities as text.
 
-    def __init__(self, kind: type[T]) -> None:
+    Args:
+        kind: The message type.
+        without: Fields that are left out, as `to_json` takes them; they have defaults.
+    """
+
+    def __init__(self, kind: type[T], without: dict[str, Any] | None = None) -> None:
+        self._without = without
         self.name = f"slipguard.{kind.__name__}"
         self._adapter: TypeAdapter[T] = TypeAdapter(kind)
 
@@ -95,7 +101,7 @@ class Json(Generic[T]):
 
     def encode(self, value: T) -> bytes:
         """Return compact JSON; floats keep every bit."""
-        return to_json(value, inf_nan_mode="strings")
+        return to_json(value, inf_nan_mode="strings", exclude=self._without)
 
     def decode(self, data: bytes) -> T:
         """Return the message. Raises InputError if it is damaged."""
@@ -105,7 +111,7 @@ class Json(Generic[T]):
             raise InputError(f"not a {self.name} message: {describe_validation_error(error)}") from None
 
 
-FRAME_RECORD = Json(FrameRecord)
+FRAME_RECORD = Json(FrameRecord, without={"estimate": {"segmented"}})
 CYCLE_RECORD = Json(CycleRecord)
 MEMORY = Json(ControlState)
 TRUTH_RECORD = Json(TruthRecord)

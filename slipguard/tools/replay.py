@@ -236,8 +236,8 @@ def _rotation(estimate: Estimate | None) -> float | None:
 
 
 def _plain(estimate: Estimate | None) -> Estimate | None:
-    """Return the estimate without stage times, which always differ."""
-    return None if estimate is None else replace(estimate, stage_ms={})
+    """Return the estimate without stage times, which always differ, and without what is not recorded."""
+    return None if estimate is None else replace(estimate, stage_ms={}, segmented=True)
 
 
 def _finger(item: RecordedItem) -> str:

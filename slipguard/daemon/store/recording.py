@@ -117,7 +117,8 @@ class RecordingObserver:
             estimate,
             processed.refused,
         )
-        patch = processed.patch if estimate is not None and estimate.skipped is None else None
+        segmented = estimate is not None and estimate.skipped is None and estimate.segmented
+        patch = processed.patch if segmented else None
         self._recorder.add(
             RecordedFrame(
                 finger,

@@ -7,6 +7,8 @@ import os
 import shutil
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,12 @@ from slipguard.control.reports import Text
 from slipguard.control.slip_baselines import Baselines
 from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Grip, HeldObject, Phase
+from slipguard.daemon.loop.finger import ProcessedFrame
+from slipguard.daemon.store.recording import RecordingObserver
+from slipguard.devices import Frame
 from slipguard.errors import InputError
+from slipguard.perception.contact.patch import find_patch
+from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
 from slipguard.recording.reader import StoredImage, StoredMessage, open_recording
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings
@@ -59,6 +66,17 @@ def test_the_controllers_values_keep_every_bit() -> None:
         output = StepOutput(gripper, LiftArm(1 / 3, 2 / 3), messages=(Text.GRIPPED.message(),))
         cycle = m.CycleRecord(1e-17, "idle", Observation(now_s=1 / 7), output)
         assert m.CYCLE_RECORD.decode(m.CYCLE_RECORD.encode(cycle)) == cycle
+
+
+def test_a_frame_measured_by_its_texture_is_recorded_without_a_mask() -> None:
+    recorded: list[Any] = []
+    observer = RecordingObserver(SimpleNamespace(records_images=False, add=recorded.append))  # type: ignore[arg-type]
+    patch = find_patch(np.ones((160, 120), np.float32), 0.5, 100, 2.0)
+    for segmented in (True, False):
+        estimate = Estimate(1, 1.0, 1.0, True, 4000, "fused", segmented=segmented)
+        observer.add_frame("left", ProcessedFrame(Frame(picture(), 1.0, 1), 1.0, False, False, estimate, None, patch))
+    assert [one.mask is not None for one in recorded] == [True, False]
+    assert b"segmented" not in m.FRAME_RECORD.encode(recorded[1].record)
 
 
 def test_a_recording_is_read_as_written(tmp_path: Path) -> None:
