@@ -135,6 +135,11 @@ class Pipeline:
         return None if self._meter.reference is None else self._meter.reference.image
 
     @property
+    def carried_deg(self) -> float:
+        """Rotation before the reference, part of every estimate; 0 unless the reference followed a growing contact."""
+        return self._meter.carried_deg
+
+    @property
     def last_patch(self) -> Patch | None:
         """The last contact, at the network's resolution; None without contact."""
         return self._patch
@@ -241,7 +246,7 @@ class Pipeline:
             orientation_deg = wrap_axial_deg(orientation_deg + rotation.rotation_deg - before.rotation_deg)
         estimate = self._estimate(frame, patch, rotation, measurement.shift, orientation_deg, timer)
         timer.mark("track")
-        return estimate
+        return replace(estimate, segmented=False)
 
     def _estimate(
         self,

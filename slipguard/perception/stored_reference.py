@@ -62,6 +62,11 @@ class ResumingPipeline:
         """The reference frame; None without a reference, or while a stored one is being checked."""
         return None if self.stored_reference_state == "waiting" else self._pipeline.reference_image
 
+    @property
+    def carried_deg(self) -> float:
+        """Rotation before the reference that the pipeline itself adds to every estimate."""
+        return self._pipeline.carried_deg
+
     def resume(self, stored: StoredReference, now_s: float) -> None:
         """Check `stored` on the next frames.
 

@@ -198,7 +198,7 @@ class ReferenceSaver:
         image, rotation_deg = pipeline.reference_image, newest.estimate.rotation_deg
         if image is None or rotation_deg is None:
             return None
-        earlier_deg = pipeline.earlier_rotation_deg
+        earlier_deg = pipeline.earlier_rotation_deg + pipeline.carried_deg
         known = StoredReference(image, rotation_deg - earlier_deg, earlier_deg)
         before = self._saved.get(name)
         if (

@@ -146,9 +146,9 @@ def _select_regions(
     """Return the labels of the regions that form the patch, the largest first."""
     areas = np.bincount(labels.ravel(), minlength=count)
     areas[0] = 0
-    for label in np.flatnonzero(areas >= max(smallest, 1.0)).tolist():
-        if _sum(probability[labels == label]) < MEAN_MIN * areas[label]:
-            areas[label] = 0
+    valid = np.minimum(np.where(np.isnan(probability), np.float32(0.0), probability), np.float32(1.0))
+    sums = np.bincount(labels.ravel(), valid.ravel(), minlength=count)
+    areas[(areas >= max(smallest, 1.0)) & (sums < MEAN_MIN * areas)] = 0
     largest = int(areas.argmax())
     if areas[largest] < smallest:
         return []

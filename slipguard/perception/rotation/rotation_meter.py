@@ -127,6 +127,11 @@ class RotationMeter:
         self._whole_fit: TextureFit | None = None
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
+    @property
+    def carried_deg(self) -> float:
+        """Rotation up to the present reference, which is part of every rotation; 0 for the first reference."""
+        return 0.0 if self._carried is None else self._carried.rotation.rotation_deg or 0.0
+
     def rate_deg_s(self, now_s: float) -> float | None:
         """Return the rotation rate at `now_s`; None if unknown."""
         return self._tracker.rate_deg_s(now_s)
@@ -196,8 +201,10 @@ class RotationMeter:
             return RotationMeasurement(self._accept(now_s, rotation, patch), ShiftMeasurement(center_shift_px), axes)
 
         (tried_at_s, texture_map, found), self._tried = self._tried, (-math.inf, None, None)
-        if tried_at_s != now_s:
+        if tried_at_s != now_s or found is None or found.rotation.rotation_deg is None:
             texture_map, found = self._read_texture(reference, image, patch), None
+        elif texture_map is not None and reference.texture is not None:
+            reference.texture.take_key_if_due(texture_map, patch, found)
         if texture_map is not None and reference.texture is not None and found is None:
             if lost and reference.texture.period_deg is None:
                 found = reference.texture.search_everywhere(texture_map, patch, predicted_deg)
@@ -256,7 +263,7 @@ class RotationMeter:
         texture_map = self._read_texture(reference, image, patch)
         if texture_map is None or reference.texture.ambiguous:
             return None
-        found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None))
+        found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None), take_key=False)
         self._tried = now_s, texture_map, found
         if found.fit is None or not is_certain(found.rotation):
             return None
@@ -332,14 +339,22 @@ class RotationMeter:
         if self._carried is None:
             return found
         rotation, before = found.rotation, self._carried.rotation
+        before_deg, before_sigma_deg = before.rotation_deg or 0.0, before.sigma_deg or 0.0
         if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
-            total_deg = rotation.rotation_deg + (before.rotation_deg or 0.0)
-            sigma_deg = math.hypot(rotation.sigma_deg, before.sigma_deg or 0.0)
-            rotation = replace(rotation, rotation_deg=total_deg, sigma_deg=sigma_deg)
+            sigma_deg = math.hypot(rotation.sigma_deg, before_sigma_deg)
+            rotation = replace(rotation, rotation_deg=rotation.rotation_deg + before_deg, sigma_deg=sigma_deg)
+        if rotation.unconfirmed is not None:
+            jump = rotation.unconfirmed
+            sigma_deg = math.hypot(jump.sigma_deg, before_sigma_deg)
+            jump = replace(jump, rotation_deg=jump.rotation_deg + before_deg, sigma_deg=sigma_deg)
+            rotation = replace(rotation, unconfirmed=jump)
         shift, before_shift = found.shift, self._carried.shift
-        if shift is not None and shift.shift_px is not None and before_shift is not None and before_shift.shift_px:
-            (dx, dy), (before_x, before_y) = shift.shift_px, before_shift.shift_px
-            shift = replace(shift, shift_px=(dx + before_x, dy + before_y))
+        if shift is not None and before_shift is not None:
+            if before_shift.shift_px is None:
+                shift = replace(shift, shift_px=None, period_px=shift.period_px or before_shift.period_px)
+            elif shift.shift_px is not None:
+                (dx, dy), (before_x, before_y) = shift.shift_px, before_shift.shift_px
+                shift = replace(shift, shift_px=(dx + before_x, dy + before_y))
         return replace(found, rotation=rotation, shift=shift)
 
     def _predicted_deg(self, reference: Reference, now_s: float) -> float:

@@ -80,7 +80,7 @@ class RotationTracker:
     def extrapolated_deg(self, now_s: float) -> float:
         """Return the rotation at `now_s` for the rate between the last two frames, which lags by half a frame only."""
         last_s, rotation = self._last
-        since_s = max(now_s - last_s, 0.0) if math.isfinite(last_s) else 0.0
+        since_s = max(now_s - max(last_s, self._kept_at_s), 0.0) if math.isfinite(last_s) else 0.0
         return rotation + self.last_rate_deg_s * since_s
 
     @property
@@ -136,6 +136,8 @@ class RotationTracker:
 
     def _offer(self, now_s: float, rotation_deg: float, sigma_deg: float, by_texture: bool) -> bool:
         """Return whether enough frames in a row agree on a rotation that is far from the last accepted one."""
+        if self._offered and now_s - self._offered[-1][0] > GAP_S:
+            self._offered.clear()
         if self._offered:
             _, before_deg, before_sigma_deg = self._offered[-1]
             if not by_texture:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
+from slipguard.perception.declined import DeclineReason
 from slipguard.perception.rotation.texture_map import REDUCTION
 from slipguard.perception.rotation.texture_template import PERIODIC_SHARE, TextureTemplate
 from slipguard.perception.rotation.texture_tracker import TrackedTexture, rotated
@@ -128,7 +129,8 @@ class ShiftMeter:
         while recent and not 0.0 <= now_s - recent[0][0] <= SLIDE_S:
             recent.popleft()
         if found is None or found.shift_px is None or found.rotation.rotation_deg is None:
-            return bool(recent)  # it has just been there
+            why = "" if found is None else found.rotation.declined or ""
+            return bool(recent) and why.startswith(DeclineReason.CONTACT_CHANGED)  # it has just been there
         along = rotated(period, found.rotation.rotation_deg)
         moved_px = (found.shift_px[0] * along[0] + found.shift_px[1] * along[1]) * REDUCTION / period_px
         recent.append((now_s, moved_px, found.deformation))

@@ -43,8 +43,8 @@ class TextureTemplate:
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change by rotation, shift x, shift y, scale, gain.
     deform: (N, 5), change by uneven deformation of the gel: twist, two strains, two bends.
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
-    only noise changes, so that a shift is invisible; None if there is none. strength: r.m.s. of the values.
-    noise: the camera's share of it. image, origin_px: the source of the points, and the center in it.
+    only noise changes, so that a shift is invisible; None if there is none.
+    noise: the camera's share of the values, r.m.s. image, origin_px: the source of the points, and the center in it.
     mask: where in the image the texture counts, uint8, 0 or 1.
     round_reason: None, or why the contact counts as round.
     """
@@ -57,7 +57,6 @@ class TextureTemplate:
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
     center_px: tuple[float, float]
-    strength: float
     noise: float
     image: Field
     origin_px: tuple[float, float]
@@ -103,7 +102,6 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         np.unique(block, return_inverse=True)[1],
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (center_x + window.left_px, center_y + window.top_px),
-        strength,
         texture_map.noise,
         curvature,
         (center_x, center_y),

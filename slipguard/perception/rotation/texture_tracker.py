@@ -127,15 +127,23 @@ class TextureTracker:
             self.ambiguous = self._may_be_next_period(0.0, self._gap_deg)
 
     def track(
-        self, texture_map: TextureMap, patch: Patch, predicted_deg: float, axis: RotationEstimate
+        self,
+        texture_map: TextureMap,
+        patch: Patch,
+        predicted_deg: float,
+        axis: RotationEstimate,
+        take_key: bool = True,
     ) -> TrackedTexture:
-        """Return the rotation since the reference, searched near the predicted one, or near the axis if ambiguous."""
+        """Return the rotation since the reference, searched near the predicted one, or near the axis if ambiguous.
+
+        take_key: this may become the key; not if the patch is an earlier frame's.
+        """
         if not self.ambiguous:
-            return self._search(texture_map, patch, predicted_deg, None, self._gap_deg)
+            return self._search(texture_map, patch, predicted_deg, None, self._gap_deg, take_key)
         period = self.period_deg or 0.0
         if axis.rotation_deg is None or axis.sigma_deg is None or AGREE_SIGMAS * axis.sigma_deg >= 0.5 * period:
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
-        found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0)
+        found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0, take_key)
         self.ambiguous = found.rotation.rotation_deg is None
         return found
 
@@ -185,8 +193,24 @@ class TextureTracker:
         sigma = second.rotation.sigma_deg
         return found if sigma is None or sigma >= (found.rotation.sigma_deg or 180.0) else second
 
+    def take_key_if_due(self, texture_map: TextureMap, patch: Patch, found: TrackedTexture) -> None:
+        """Make this texture the key if it has changed, but is certain, and found by the reference itself."""
+        rotation, sigma, fit = found.rotation.rotation_deg, found.rotation.sigma_deg, found.fit
+        if fit is None or rotation is None or sigma is None or found.shift_px is None or self.remembers:
+            return
+        newer = self._key is None or sigma > KEY_STEP * self._key.sigma_deg
+        if newer and fit.alike < KEY_ALIKE and sigma_deg(fit) < KEY_SIGMA_DEG:
+            shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
+            self._take_key(texture_map, patch, rotation, sigma, shift)
+
     def _search(
-        self, texture_map: TextureMap, patch: Patch, predicted_deg: float, start: TexturePose | None, gap_deg: float
+        self,
+        texture_map: TextureMap,
+        patch: Patch,
+        predicted_deg: float,
+        start: TexturePose | None,
+        gap_deg: float,
+        take_key: bool = True,
     ) -> TrackedTexture:
         """Register to the reference, or to the key if that is better. start: other than the last pose."""
         if start is None:
@@ -210,9 +234,8 @@ class TextureTracker:
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         self._pose = TexturePose(rotation, shift[0], shift[1]) if by_key else fit.pose
-        newer = self._key is None or sigma > KEY_STEP * self._key.sigma_deg
-        if not by_key and newer and fit.alike < KEY_ALIKE and own_sigma < KEY_SIGMA_DEG and not self.remembers:
-            self._take_key(texture_map, patch, rotation, sigma, shift)
+        if take_key:
+            self.take_key_if_due(texture_map, patch, found)
         return found
 
     def _may_be_next_period(self, by_deg: float, gap_deg: float) -> bool:

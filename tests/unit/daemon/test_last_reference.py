@@ -106,6 +106,20 @@ async def test_a_different_contact_is_reported_with_the_earlier_rotation(tmp_pat
     assert (written["rotation_deg"], written["earlier_rotation_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
 
 
+async def test_the_rotation_before_a_growing_contacts_reference_is_stored_apart(tmp_path: Path) -> None:
+    finger = Finger(pipeline())
+    for k in range(40):
+        shape = drawn("bar", 20.0 + 0.5 * max(k - 5, 0), scale=0.4 + 0.02 * k)
+        finger.newest = SimpleNamespace(estimate=finger.pipeline.process(frame(shape, k)))  # type: ignore[assignment]
+    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
+    await settled(keeper, decision(Phase.HOLDING))
+    known = ReferenceStore(tmp_path).load("left", "D1")
+    assert known is not None
+    assert known.earlier_rotation_deg == pytest.approx(finger.pipeline.carried_deg)
+    assert known.earlier_rotation_deg > 1.0
+    assert known.rotation_deg + known.earlier_rotation_deg == pytest.approx(16.5, abs=0.5)
+
+
 async def test_a_full_disk_is_reported_once(tmp_path: Path) -> None:
     class Full(ReferenceStore):
         def save(self, finger: str, serial: str, known: StoredReference) -> None:

@@ -88,6 +88,9 @@ def test_rotations_while_the_force_grows_count_from_the_first_tenth_of_a_second(
     assert estimate.rotation_deg == pytest.approx(16.5, abs=0.5)
     assert pipe._meter.reference is not None
     assert pipe._meter.reference.patch.area_px > 2000  # it follows while the contact grows from 1,800 px
+    since_it_deg = pipe._meter._tracker._last[1]
+    assert pipe.carried_deg > 1.0
+    assert pipe.carried_deg + since_it_deg == pytest.approx(estimate.rotation_deg, abs=1e-6)
 
 
 def test_the_reference_may_be_the_first_contact() -> None:
@@ -318,6 +321,7 @@ def test_a_contact_that_does_not_change_is_measured_without_the_network() -> Non
     calls = segmenter.calls
     seen = run(pipe, "key", [20.0] * 28, start=6)
     assert segmenter.calls - calls <= 20  # drawn and ragged: its texture is faint
+    assert sum(one.segmented for one in seen) == segmenter.calls - calls
     assert [one.rotation_deg for one in seen] == pytest.approx([0.0] * 28, abs=0.7)
     assert [one.measured_at_s for one in seen] == [one.captured_at_s for one in seen]
 

@@ -81,6 +81,21 @@ def test_a_flip_by_90_degrees_is_never_a_rotation() -> None:
     assert tracker.accept(5.0, RotationEstimate(3.0, 1.0)).rotation_deg == 3.0
 
 
+@pytest.mark.parametrize(("apart_s", "agreeing"), [(1 / 60, True), (0.1, True), (0.2, False)])
+def test_only_rotations_of_recent_frames_agree(apart_s: float, agreeing: bool) -> None:
+    tracker = tracked([(0.0, 0.0)])
+    for k in range(1, 4):
+        assert tracker.accept(k * apart_s, RotationEstimate(90.0, 0.3)).rotation_deg is None
+    assert (tracker.offered_deg is not None) is agreeing
+
+
+def test_a_rotation_known_to_be_unchanged_is_not_extrapolated_from_before() -> None:
+    tracker = tracked([(0.1, 0.0), (0.11, 0.1)])
+    assert tracker.extrapolated_deg(0.21) == pytest.approx(1.1)
+    tracker.note_kept(0.2)
+    assert tracker.extrapolated_deg(0.21) == pytest.approx(0.2)
+
+
 def test_a_fast_rotation_with_lost_frames_is_accepted() -> None:
     tracker = tracked([(k / 60, 5.0 * k) for k in range(1, 5)])
     assert tracker.accept(8 / 60, RotationEstimate(40.0, 0.5)).rotation_deg == 40.0

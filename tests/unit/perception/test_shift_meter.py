@@ -18,7 +18,9 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.shift_meter import end_offset_px
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.shift_meter import ShiftMeter, end_offset_px
+from slipguard.perception.rotation.texture_tracker import TrackedTexture
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -108,6 +110,26 @@ def test_other_objects_have_a_shift(name: str) -> None:
     last = [finger.see(0.0) for _ in range(REST_FRAMES)][-1]
     assert last.shift_mm is not None
     assert last.shift_mm == pytest.approx((0.0, 0.0), abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("declined", "slides"),
+    [
+        (f"{DeclineReason.CONTACT_CHANGED}: correlation 0.3", True),
+        (f"{DeclineReason.DEFORMED}: 3 deg", False),
+        (str(DeclineReason.GEL_MEMORY), False),
+        (str(DeclineReason.PERIOD_AMBIGUOUS), False),
+        (None, False),
+    ],
+)
+def test_a_periodic_texture_slides_when_it_has_changed_beyond_recognition(declined: str | None, slides: bool) -> None:
+    patch = bar_patch(40, 100)
+    meter = ShiftMeter(None, patch)
+    meter._period = ((0.0, 8.0),)
+    rest = TrackedTexture(RotationEstimate(0.0, 0.5), 1.0, (0.0, 0.0))
+    assert not meter.measure(1.0, patch, rest, (0.0, 0.0)).slides
+    gone = None if declined is None else TrackedTexture(RotationEstimate(None, None, declined), 1.0)
+    assert meter.measure(1.02, patch, gone, (0.0, 0.0)).slides is slides
 
 
 def bar_patch(from_row: int, to_row: int) -> Patch:
