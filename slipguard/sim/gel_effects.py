@@ -25,7 +25,7 @@ _NEAR_MM = 1e-3
 class GelEffects:
     """Deviation of one imprint from that of a rigid object in the image plane; the defaults are no deviation.
 
-    The true rotation of the object is the view's `angle_deg`, whatever the imprint does.
+    The true rotation of the object is the view's `angle_deg`, however the imprint deforms.
 
     Attributes:
         pitch_deg: tilt that brings the object's +u side closer to the gel. The object rolls without sliding: on a

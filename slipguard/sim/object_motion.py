@@ -97,7 +97,7 @@ class ExternalLoad:
         acceleration_m_s2: of the fingers, up.
         rise_m, rise_m_s: of the fingers above the height at which the object lay on the table; None without a table.
         torque_n_m: replaces the gravity torque if given.
-        push_n, push_n_m: of something that touches the object: force downwards and torque, besides the weight.
+        push_n, push_n_m: of something that touches the object: force downwards and torque, in addition to the weight.
     """
 
     force_n: float

@@ -85,7 +85,7 @@ class GripCampaignResult:
 
     @property
     def beyond_actuator(self) -> list[ScenarioResult]:
-        """Weak lifts in which load arrives faster than the gripper tightens, whatever the controller does."""
+        """Weak lifts in which load arrives faster than the gripper tightens: no controller holds them."""
         return [one for one in self.results if one.scenario.weak and not one.answerable]
 
     @property

@@ -1,4 +1,4 @@
-"""What a real contact does besides rotating rigidly never gives a wrong rotation with a small sigma."""
+"""What a real contact does in addition to rotating rigidly never gives a wrong rotation with a small sigma."""
 
 from __future__ import annotations
 
