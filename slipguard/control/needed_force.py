@@ -13,8 +13,8 @@ Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
    friction it would turn with 3 g / (4 b), and r = tau / T = 1 / (1 - alpha 4 b / (3 g)), where alpha = rate^2 / (2
    theta). A slide is the same with g alone. Without a known lever, b = 60 mm. r is at least RATIO_LEAST, for rates lag,
    and at most RATIO_MAX, for a gel that swings elastically turns as fast at first.
-3. Slip while the object leaves the table. Its far end leads it: the rate is the arm's and independent of the load, and no
-   image shows r. So the load is searched: each step is r = SEARCH, which ends within a factor of 1 to SEARCH above
+3. Slip while the object leaves the table. Its far end leads it: the rate is the arm's, not the load's, and no image
+   shows r. So the load is searched: each step is r = SEARCH, which ends within a factor of 1 to SEARCH above
    the needed force, in the geometric mean its square root. The arm stands meanwhile, and the load does not grow.
 4. Torsion that returns. A gel whose stiffness is known twists by theta_on = T(N) / (2 k) before anything slips. Up to
    this share of it a grip is firm, and not tightened. k6 is a log-normal estimate: at first so uncertain that it

@@ -31,7 +31,7 @@ CORRECTION_MAX = 0.5
 """Largest correction, as a share of the rotation: linearized, it is inaccurate beyond."""
 
 
-class GelMemory:
+class ImprintMemory:
     """The estimated share of the reference that stays in place. All constants were chosen on training objects."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
-from slipguard.perception.rotation.gel_memory import SHARE_MAX, GelMemory
+from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
 from slipguard.perception.rotation.texture_registration import (
     APART_DEG,
@@ -103,7 +103,7 @@ class TextureTracker:
         self._pose = TexturePose()
         self._key: _Key | None = None
         self._key_pose = TexturePose()
-        self._memory = GelMemory()
+        self._memory = ImprintMemory()
         self._gap_deg = 0.0
         self.ambiguous = rotated_unseen and self.period_deg is not None
         """Whether a periodic texture may be off by whole periods, until the axis resolves it."""

@@ -7,7 +7,7 @@ import pytest
 from slipguard.datasets.effect_scenes import EffectName, render_effect
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.gel_memory import SHARE_MAX, GelMemory
+from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.rotation.texture_registration import Ghost
 from slipguard.perception.settings import PerceptionSettings
 
@@ -38,7 +38,7 @@ def test_partial_slip_is_declined_or_uncertain() -> None:
 
 
 def test_memory_is_certain_after_some_frames_and_then_corrects() -> None:
-    memory = GelMemory()
+    memory = ImprintMemory()
     ghost = Ghost(0.3, 0.06, 5.0)
     first = memory.corrected(10.0, 0.1, ghost)
     assert (first.rotation_deg, first.sigma_deg) == (10.0, pytest.approx(1.5, abs=0.01))
@@ -52,14 +52,14 @@ def test_memory_is_certain_after_some_frames_and_then_corrects() -> None:
 
 
 def test_a_frame_that_shows_nothing_of_it_teaches_nothing() -> None:
-    memory = GelMemory()
+    memory = ImprintMemory()
     memory.update(Ghost(5.0, float("inf"), 0.0))
     assert memory.share == 0.0
     assert not memory.certain
 
 
 def test_a_gel_that_mostly_shows_the_past_is_recognized() -> None:
-    memory = GelMemory()
+    memory = ImprintMemory()
     for _ in range(12):
         memory.update(Ghost(SHARE_MAX + 0.1, 0.05, 5.0))
     assert memory.too_strong
