@@ -32,7 +32,8 @@ class Baselines:
 
     Args:
         episode_deg, episode_mm, sideways_mm: where the object was when the last slip episode ended, or at the start.
-        settled_deg, settled_mm, settled_since_s: where it has been within the settling tolerance, and since when.
+        settled_deg, settled_mm, settled_side_mm, settled_since_s: where it has been within the settling tolerance, and
+            since when.
         resting_deg: where it rests, slowly followed; while the arm moves: where it last rested.
         previous_deg: the frame before, at rest.
         before_motion_deg: where it rested before the arm's motions, as long as none has rotated it.
@@ -47,6 +48,7 @@ class Baselines:
     previous_deg: float | None = None
     before_motion_deg: float | None = None
     sideways_mm: float | None = None
+    settled_side_mm: float | None = None
 
     def moved(self, by_deg: float, by_mm: float = 0.0, sideways_mm: float = 0.0) -> Baselines:
         """Return the same baselines as fingers see them whose estimates differ by this offset."""
@@ -60,6 +62,7 @@ class Baselines:
             plus(self.previous_deg, by_deg),
             plus(self.before_motion_deg, by_deg),
             plus(self.sideways_mm, sideways_mm),
+            plus(self.settled_side_mm, sideways_mm),
         )
 
     def with_settled(self, fused: FusedEstimate, params: GuardParams) -> Baselines:
@@ -67,14 +70,21 @@ class Baselines:
         tuning = params.tuning
         settle_deg = max(tuning.settle_deg, min(2.0 * (fused.sigma_deg or 0.0), tuning.sigma_threshold_max_deg))
         near = _near(fused.rotation_deg, self.settled_deg, settle_deg)
-        if near and _near(fused.shift_mm, self.settled_mm, SETTLED_SHIFT_MM) and self.settled_since_s is not None:
+        near = near and _near(fused.shift_mm, self.settled_mm, SETTLED_SHIFT_MM)
+        near = near and _near(fused.sideways_mm, self.settled_side_mm, SETTLED_SHIFT_MM)
+        if near and self.settled_since_s is not None:
             return replace(
                 self,
                 settled_deg=fused.rotation_deg if self.settled_deg is None else self.settled_deg,
                 settled_mm=fused.shift_mm if self.settled_mm is None else self.settled_mm,
+                settled_side_mm=fused.sideways_mm if self.settled_side_mm is None else self.settled_side_mm,
             )
         return replace(
-            self, settled_deg=fused.rotation_deg, settled_mm=fused.shift_mm, settled_since_s=fused.captured_at_s
+            self,
+            settled_deg=fused.rotation_deg,
+            settled_mm=fused.shift_mm,
+            settled_side_mm=fused.sideways_mm,
+            settled_since_s=fused.captured_at_s,
         )
 
 

@@ -106,11 +106,12 @@ def assess_slip(
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
     quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, borne_deg, only_outward)
     turns = quick_frames > 0
-    slip_mm, rate_mm_s = _slide(memory, fused)
+    slip_mm, rate_mm_s = _slide(memory, fused, only_outward)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
     translates = slip_mm > tuning.slip_mm and (fast or slip_mm > tuning.creep_mm)
-    if fast and slip_mm > PLAIN_SLIDE_TIMES * tuning.slip_mm and len(fused.shift_fingers) == 2:
+    both = len(fused.shift_fingers) == 2 and fused.conflict is None
+    if fast and slip_mm > PLAIN_SLIDE_TIMES * tuning.slip_mm and both:
         quick_frames = max(quick_frames, tuning.confirm_frames)
     slides = fused.slides and not only_outward
     translates = translates or slides
@@ -262,13 +263,15 @@ def _rotation(
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
 
 
-def _slide(memory: SlipMemory, fused: FusedEstimate) -> tuple[float, float]:
+def _slide(memory: SlipMemory, fused: FusedEstimate, only_outward: bool) -> tuple[float, float]:
     """Return the distance that the contact has moved from the episode's baseline, and its rate away from there."""
     baselines = memory.baselines
     down_mm = (fused.shift_mm or 0.0) - (baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
     side_mm = (fused.sideways_mm or 0.0) - (baselines.sideways_mm or 0.0) if fused.sideways_mm is not None else 0.0
     slip_mm = math.hypot(down_mm, side_mm)
-    if slip_mm == 0.0:
+    from_start_mm = math.hypot(fused.shift_mm or 0.0, fused.sideways_mm or 0.0)
+    back = from_start_mm <= math.hypot(baselines.episode_mm or 0.0, baselines.sideways_mm or 0.0)
+    if slip_mm == 0.0 or (only_outward and back):
         return 0.0, 0.0
     return slip_mm, (down_mm * memory.shift.rate_mm_s + side_mm * memory.sideways.rate_mm_s) / slip_mm
 

@@ -11,6 +11,7 @@ from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import (
     SHIFT_TAU_S,
     SWITCH_MAX_MM,
+    SWITCH_SHIFT_MM,
     Baselines,
     FingerSwitch,
     ReportingFingers,
@@ -90,6 +91,7 @@ class SlipMemory:
 
     Args:
         shift, sideways, shift_fingers: shift down and to the right, and the fingers that know it.
+        switched_mm: by how much all changes of these fingers have moved the baselines of both: 2.5 mm at most.
         measured_s, captured_s: of the newest frame. followed_s: of the newest frame used for the resting angle.
         noise_deg2: variance of the rotation at rest.
         frames, counted_s: frames in a row that show slip, and the newest measurement of the last of them.
@@ -103,6 +105,7 @@ class SlipMemory:
     shift: ShiftFilter = field(default_factory=ShiftFilter)
     sideways: ShiftFilter = field(default_factory=ShiftFilter)
     shift_fingers: tuple[str, ...] = ()
+    switched_mm: tuple[float, float] = (0.0, 0.0)
     arm: ArmContext = field(default_factory=ArmContext)
     measured_s: float = -math.inf
     captured_s: float = -math.inf
@@ -205,10 +208,13 @@ class SlipMemory:
         """Return the memory for the fingers that know the shift now: a finger that drops out is no slide."""
         if not self.shift_fingers:
             return replace(self, shift_fingers=fused.shift_fingers)
-        down_mm, sideways_mm = self.shift.jump_mm(fused.shift_mm), self.sideways.jump_mm(fused.sideways_mm)
+        total_mm, total_side_mm = self.switched_mm
+        down_mm = within(total_mm + self.shift.jump_mm(fused.shift_mm), SWITCH_SHIFT_MM) - total_mm
+        sideways_mm = within(total_side_mm + self.sideways.jump_mm(fused.sideways_mm), SWITCH_SHIFT_MM) - total_side_mm
         return replace(
             self,
             shift_fingers=fused.shift_fingers,
+            switched_mm=(total_mm + down_mm, total_side_mm + sideways_mm),
             shift=self.shift.moved(down_mm),
             sideways=self.sideways.moved(sideways_mm),
             baselines=self.baselines.moved(0.0, down_mm, sideways_mm),

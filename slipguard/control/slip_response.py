@@ -99,9 +99,10 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
         memory = seen.memory.after_episode(rotated=slip.rotates, translated=slip.translates, raised=slip.raised)
         state = replace(state, held=replace(state.held, memory=memory, slip=None))
         return SlipResponse(state, message=Text.SETTLED.message(force_n=state.grip.target_n))
-    if observation.now_s - slip.tightened_s >= UNSETTLED_S:
-        return SlipResponse(state, stop_arm=True, fault=_never_settled(state, seen))
-    return _go_on(state, slip, seen, observation, params)
+    answer = _go_on(state, slip, seen, observation, params)
+    if answer.hold_n is None and answer.fault is None and observation.now_s - slip.tightened_s >= UNSETTLED_S:
+        return replace(answer, stop_arm=True, fault=_never_settled(state, seen))
+    return answer
 
 
 def _begin(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
@@ -120,17 +121,17 @@ def _go_on(
     if seen.memory.captured_s < slip.tightened_s + _delay_s(state, params):  # from before the step could show
         return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
     rotated_deg, moved_mm = seen.rotation_deg - slip.rotation_deg, seen.slip_mm - slip.slip_mm
-    slips_on = seen.moving and (rotated_deg > PROGRESS_DEG or moved_mm > PROGRESS_MM)
+    slips_on = seen.slides or (seen.moving and (rotated_deg > PROGRESS_DEG or moved_mm > PROGRESS_MM))
     if not (slips_on or rotated_deg > _crept_deg(observation, params) or moved_mm > CREPT_MM):
         return wait
     at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     if force_range is None or state.grip.target_n >= force_range.high_n:
-        beyond = rotated_deg > BEYOND_LIMIT_DEG or moved_mm > BEYOND_LIMIT_MM
+        beyond = seen.slides or rotated_deg > BEYOND_LIMIT_DEG or moved_mm > BEYOND_LIMIT_MM
         return replace(wait, fault=_limit_reached(state, seen.what, params)) if at_rest and beyond else wait
     slows = seen.rate_deg_s < SLOWING * slip.rate_deg_s and seen.slip_rate_mm_s < params.tuning.slip_rate_mm_s
     late = observation.rotation_deg > LATE_SHARE * params.tuning.rotation_max_deg
-    if slows and not late:  # the step works; from here on it counts whether it goes on slowing down
+    if slows and not (late or seen.slides):  # the step works; from here on it counts whether it goes on slowing down
         return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
     if not (at_rest or late):
         return wait
@@ -300,4 +301,4 @@ def _has_settled(
     """Return whether all has been at rest for long enough, with the last step done and its effect seen."""
     at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
     effect_seen = seen.memory.captured_s - slip.tightened_s >= _delay_s(state, params)
-    return at_rest and effect_seen and seen.settled_s >= params.tuning.settle_s
+    return at_rest and effect_seen and not seen.slides and seen.settled_s >= params.tuning.settle_s

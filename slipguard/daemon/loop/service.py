@@ -174,8 +174,13 @@ class Service:
         return await self._requests.submit(request, self._wake, deadline_s)
 
     def _may_restart(self, name: str) -> bool:
-        """Return whether a finger can do without frames for a moment: the other one has some, and no slip is open."""
+        """Return whether a finger can do without frames for a moment: the other one has some, and no slip is open.
+
+        A finger without good frames has nothing to lose.
+        """
         now_s = asyncio.get_running_loop().time()
+        if self.fingers[name].observe(now_s)[0].condition is not Condition.FRESH:
+            return True
         others = (finger for other, finger in self.fingers.items() if other != name)
         fresh = all(finger.observe(now_s)[0].condition is Condition.FRESH for finger in others)
         return fresh and self.state.held.slip is None

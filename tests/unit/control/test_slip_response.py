@@ -384,6 +384,22 @@ def test_slip_that_never_settles_is_a_fault_after_five_seconds(amplitude: dict[s
     assert number * 0.02 == pytest.approx(UNSETTLED_S, abs=0.1)
 
 
+def test_slip_after_the_fault_of_one_that_never_settled_is_answered_with_force() -> None:
+    play = Play().held()
+    play.slips(4.0, 60.0)
+    rest = changed(play.view, rate_deg_s=0.0)
+    for number in range(350):
+        play.view = changed(rest, rotation_deg=4.0 + 1.2 * math.sin(2.0 * math.pi * 13.0 * 0.02 * number))
+        play.step()
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.NOT_SETTLED
+    before_n = play.grasp.grip.target_n
+    for number in range(30):
+        play.view = changed(rest, rotation_deg=4.0 + 1.0 * number, rate_deg_s=50.0)
+        play.step()
+    assert play.grasp.grip.target_n > before_n
+
+
 def test_rotation_at_the_force_limit_adds_up_over_pauses() -> None:
     play = Play(guard_params(force_max_n=60.0, no_estimate_force_n=60.0, first_force_n=60.0)).held()
     for rest_deg in (7.0, 14.0, 21.0, 28.0):

@@ -500,3 +500,61 @@ def test_a_shift_filter_waits_for_a_newer_frame() -> None:
     assert begun.next(None, 0.02) == ShiftFilter()
     assert begun.jump_mm(2.0) == 1.0
     assert begun.jump_mm(9.0) == SWITCH_SHIFT_MM
+
+
+def test_an_object_that_slides_sideways_has_not_settled() -> None:
+    memory, settled_s = SlipMemory(), []
+    for number in range(60):
+        view = changed(
+            fused(0.0, at_s=10.0 + FRAME_S * number, shift_mm=0.0, sigma_deg=0.1),
+            sideways_mm=max(number - 30, 0) * 0.2, shift_fingers=("left", "right"),
+        )  # fmt: skip
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        memory = seen.memory
+        settled_s.append(seen.settled_s)
+    assert settled_s[29] > 0.4
+    assert max(settled_s[35:]) < 0.1
+
+
+def test_an_object_that_is_set_down_may_slide_back() -> None:
+    """The table pushes it back to where it was gripped; further out it is slip."""
+    watched = Watched()
+    watched.shift_mm = 3.0
+    watched.rest()
+    watched.putting_down = True
+    for shift_mm in np.arange(3.0, 0.0, -0.2):
+        watched.shift_mm = float(shift_mm)
+        assert not watched.see(0.0).translates
+    for shift_mm in np.arange(0.0, 6.0, 0.2):
+        watched.shift_mm = float(shift_mm)
+        seen = watched.see(0.0)
+    assert seen.translates
+
+
+def test_shifts_that_contradict_each_other_need_a_second_frame() -> None:
+    memory = SlipMemory()
+    for number in range(31):
+        slid_mm = 5.5 if number == 30 else 0.0
+        view = changed(
+            fused(0.0, at_s=10.0 + FRAME_S * number, shift_mm=slid_mm, sigma_deg=0.1),
+            sideways_mm=0.0, shift_fingers=("left", "right"), conflict="one is wrong" if slid_mm else None,
+        )  # fmt: skip
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        memory = seen.memory
+    assert seen.translates
+    assert not seen.slipping
+
+
+def test_fingers_that_come_and_go_hide_no_long_slide() -> None:
+    """One finger is smeared in every other frame while the object slides at 30 mm/s."""
+    memory, slips = SlipMemory(), []
+    for number in range(90):
+        names = ("left",) if number > 30 and number % 2 else ("left", "right")
+        view = changed(
+            fused(0.0, at_s=10.0 + FRAME_S * number, shift_mm=max(number - 30, 0) * 0.5, sigma_deg=0.1),
+            sideways_mm=0.0, shift_fingers=names,
+        )  # fmt: skip
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        memory = seen.memory
+        slips.append(seen.slipping)
+    assert any(slips[30:45])
