@@ -70,7 +70,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         for device in devices:
             cell.world.faults.fail(device, kind)
         await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
-        fault = cell.service.state.fault
+        fault, latched_n = cell.service.state.fault, cell.service.state.grip.target_n
         assert fault is not None
         assert fault.code is code
         assert seen in fault.observed
@@ -81,7 +81,7 @@ def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
         assert "lift" not in sent
         await asyncio.sleep(0.3)
         if devices == ("arm",) and kind in STANDS:
-            assert cell.service.state.grip.target_n == force_n
+            assert cell.service.state.grip.target_n == latched_n
         if devices != ("arm",) or kind in STANDS:
             height_mm = cell.truth.height_mm
             await asyncio.sleep(0.2)

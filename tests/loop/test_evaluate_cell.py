@@ -156,7 +156,8 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("filmed_by", ["slipguard", pytest.param("another program", marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("filmed_by", ["slipguard", "another program"])
 def test_the_operator_is_asked_before_every_lift_and_before_the_jaws_open(
     tmp_path: Path, state: Path, filmed_by: str
 ) -> None:

@@ -112,6 +112,7 @@ def test_an_independent_reader_finds_every_turn_of_the_loop(lift: Path) -> None:
     assert tightened
 
 
+@pytest.mark.campaign
 def test_cut_at_any_byte_it_is_readable_up_to_there_and_plays_up_to_there(lift: Path, tmp_path: Path) -> None:
     path = longest(lift)
     whole, expected = path.read_bytes(), ticks(path)

@@ -255,6 +255,7 @@ def test_further_problems_are_reported(
         assert observed in report.line(name.split(".")[0], check)
 
 
+@pytest.mark.campaign
 def test_a_urcap_is_noted(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     ready, done = threading.Event(), threading.Event()
 

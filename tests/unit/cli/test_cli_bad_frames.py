@@ -18,7 +18,7 @@ from slipguard.perception.settings import PerceptionSettings
 
 KEYS = {
     "frame", "contact", "contact_area_px", "angle_deg", "orientation_deg",
-    "sigma_deg", "method", "skipped", "declined", "stage_ms",
+    "sigma_deg", "method", "reference", "skipped", "declined", "stage_ms",
 }  # fmt: skip
 
 

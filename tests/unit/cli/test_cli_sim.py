@@ -34,6 +34,7 @@ def _short_lifts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "HOLD_S", 0.2)
 
 
+@pytest.mark.campaign
 def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[tuple[str, float | None]] = []
 

@@ -88,6 +88,7 @@ def test_a_video_without_markers_is_one_line(
     assert message.count("\n") == 1
 
 
+@pytest.mark.campaign
 def test_a_truncated_or_invalid_video_is_one_line(tmp_path: Path, camera: Path) -> None:
     whole = video(tmp_path / "whole.avi").read_bytes()
     broken = {

@@ -39,6 +39,7 @@ def rotated(degrees: float) -> NDArray[np.float64]:
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=25, deadline=None)
+@pytest.mark.campaign
 def test_noise_and_flickering_columns_are_no_change(seed: int) -> None:
     rng = np.random.default_rng(seed)
     still = still_on(DENT, rng)

@@ -127,6 +127,7 @@ def test_a_faulty_tracker_is_detected(flaw: str) -> None:
     assert run_trials("drift", 2, product).failed
 
 
+@pytest.mark.campaign
 def test_a_drift_of_a_tenth_of_a_degree_is_detected() -> None:
     class Drifting(RotationTracker):
         off = 0.0
