@@ -499,6 +499,7 @@ def test_a_shift_filter_waits_for_a_newer_frame() -> None:
     assert begun.next(2.0, 0.02).rate_mm_s > 10.0
     assert begun.next(None, 0.02) == ShiftFilter()
     assert begun.jump_mm(2.0) == 1.0
+    assert ShiftFilter().jump_mm(2.0) == 0.0
     assert begun.jump_mm(9.0) == SWITCH_SHIFT_MM
 
 
