@@ -35,9 +35,9 @@ class EffectErrors:
     compared: int = 0
     found: list[tuple[float, float]] = field(default_factory=list)
     zero: list[float] = field(default_factory=list)
-    axis_compared: int = 0
     axis: list[float] = field(default_factory=list)
     shifts_mm: list[float] = field(default_factory=list)
+    axis_compared: int = 0
 
     def add(self, other: EffectErrors) -> None:
         self.compared += other.compared

@@ -63,7 +63,7 @@ def found() -> BenchReport:
     thin = [
         ThinningResult(size, 9, 1.0, ratios, {**ratios, "cv2": ratio}, 0) for size, ratio in (("a", 18.0), ("b", 5.0))
     ]
-    slip = effect_result("partial slip", EffectErrors(5, [(0.5, 1.0), (9.0, 2.0)], [3.0] * 5, [7.0], [0.1, 0.5]), 1)
+    slip = effect_result("partial slip", EffectErrors(5, [(0.5, 1.0), (9.0, 2.0)], [3.0] * 5, [7.0], [0.1, 0.5], 5), 1)
     skip = SkipResult("unchanged", True, 2.0, 1.4, 0.001, 0, "of 3600 frames")
     return BenchReport({"processor": "test", "onnxruntime": "1", "opencv": "4"}, (ours,), (peer, plain), "net + fused",
                  tuple(thin), (skip,), ("a note",), (slip,))  # fmt: skip
