@@ -58,7 +58,7 @@ FAULTS = [
 STANDS = {"protective_stop", "emergency_stop"}
 
 
-@pytest.mark.parametrize("reach", [closing, lifting, holding])
+@pytest.mark.parametrize("reach", [closing, lifting, pytest.param(holding, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize(("devices", "kind", "code", "seen"), FAULTS)
 def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
     reach: Reach, devices: tuple[str, ...], kind: str, code: FaultCode, seen: str

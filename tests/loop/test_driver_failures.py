@@ -8,6 +8,7 @@ from collections.abc import Callable
 import pytest
 import structlog
 from loop_cell import Cell, play
+from sampled import sampled
 from structlog.testing import capture_logs
 
 from slipguard.control.reports import FaultCode
@@ -64,7 +65,7 @@ def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
     play(Cell(), scene)
 
 
-@pytest.mark.parametrize("error", FAILURES)
+@pytest.mark.parametrize("error", sampled(FAILURES))
 @pytest.mark.parametrize("method", ["open", "close", "next_frame"])
 def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: str, error: BaseException) -> None:
     async def scene(cell: Cell) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from sampled import sampled
 
 from slipguard.daemon.api.client import Client
 from slipguard.errors import SlipguardError
@@ -90,7 +91,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", sampled(range(2)))
 @pytest.mark.parametrize("kind", COMMANDS)
 def test_ctrl_c_at_any_moment(kind: str, seed: int, cell: Path) -> None:
     words, longest_s = COMMANDS[kind]

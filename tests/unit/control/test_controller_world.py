@@ -7,6 +7,7 @@ import pytest
 from guard_loop import Run, bar, grasp_and_lift, placed
 from observations import guard_params
 from records import changed, released_mm
+from sampled import sampled
 
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import ControlRequest, RequestKind
@@ -44,7 +45,7 @@ def tightenings(run: Run) -> int:
     return sum(command.hold_force_n is not None and "slip" in (command.text or "") for _, command in run.commands)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", sampled(range(24)))
 def test_what_would_slip_is_lifted_and_held(seed: int) -> None:
     run, needed_n = drawn(seed)
     truth = grasp_and_lift(run).world.truth(run.now_s)
@@ -103,7 +104,7 @@ def test_without_an_estimate_it_grips_firmly_first() -> None:
         assert abs(truth.slip_deg) < 1.0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", sampled(range(3)))
 def test_a_firm_hold_is_left_alone(seed: int) -> None:
     """Needs 25 N, held with 40: nothing in the lift nor in half a minute in the air is slip."""
     cell = changed(scenario("bar", seed), friction_scale=1.0, gel=STIFF)
