@@ -19,7 +19,7 @@ MEASURE_S = 4.0
 CAMERA_DELAY_S = 0.06
 """The simulated cameras deliver a frame this long after its capture."""
 SHARE_MIN = 0.35
-"""Of the captured frames. On two cores, daemon, node and a subscriber in Python exchange 35 to 40 of 60 frames a second."""
+"""Of the captured frames. On two cores, daemon, node and a subscriber in Python exchange 35 to 40 of 60 a second."""
 LIMITS = {
     **dict.fromkeys((STATE, ROTATION, FORCE, JOINTS), (8.0, 12.0, 0.2)),
     **dict.fromkeys(IMAGES.values(), (20.0, 70.0, CAMERA_DELAY_S + 0.2)),
