@@ -183,16 +183,7 @@ def _checked(estimate: Estimate | None) -> Estimate | None:
         sigma_deg is None or 0.0 <= sigma_deg <= SIGMA_MAX_DEG
     ):
         return estimate
-    return replace(
-        estimate,
-        rotation_deg=None,
-        sigma_deg=None,
-        rate_deg_s=None,
-        shift_mm=None,
-        slides=False,
-        unconfirmed=None,
-        declined="not a number",
-    )
+    return estimate.without_motion("not a number")
 
 
 def _rotation(finger: str, estimate: Estimate | None, sign: float) -> _Rotation | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from pydantic.json_schema import SkipJsonSchema
 
@@ -85,6 +85,19 @@ class Estimate:
     def decline_reason(self) -> str | None:
         """The reason of `declined` without its details: the same text as long as the cause is the same."""
         return None if self.declined is None else self.declined.partition(":")[0]
+
+    def without_motion(self, declined: str) -> Estimate:
+        """Return the estimate without any rotation, shift or slide, declined for this reason."""
+        return replace(
+            self,
+            rotation_deg=None,
+            sigma_deg=None,
+            rate_deg_s=None,
+            shift_mm=None,
+            slides=False,
+            declined=declined,
+            unconfirmed=None,
+        )
 
 
 class StageTimer:

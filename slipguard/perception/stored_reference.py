@@ -95,18 +95,8 @@ class ResumingPipeline:
         if self._stored is not None and estimate.contact:
             self._check(estimate, self._stored)
         if self.stored_reference_state == "waiting" and estimate.contact:
-            declined = str(DeclineReason.CHECKING_STORED_REFERENCE)
-            return replace(
-                estimate,
-                rotation_deg=None,
-                sigma_deg=None,
-                rate_deg_s=None,
-                shift_mm=None,
-                shift_declined=None,
-                slides=False,
-                declined=declined,
-                unconfirmed=None,
-            )
+            declined = estimate.without_motion(str(DeclineReason.CHECKING_STORED_REFERENCE))
+            return replace(declined, shift_declined=None)
         if not self.earlier_rotation_deg:
             return estimate
         if estimate.unconfirmed is not None:
