@@ -26,7 +26,8 @@ class LogQueue(Generic[E]):
 
     Args:
         write: Writes one entry; may block; an exception loses the entry.
-        on_lost: Called in the thread with the number of lost entries and the seconds for which the output was blocked.
+        on_lost: Called in the thread with the number of entries lost since the start and the seconds for which the
+            output was blocked. What it reports may itself be lost; the next report has the same total or more.
         entries_max: How many entries may wait.
     """
 
@@ -80,9 +81,9 @@ class LogQueue(Generic[E]):
                 if self._closed:
                     return
                 entry, self._writing = self._waiting.popleft(), True
-                lost, room = self.lost - self._reported, len(self._waiting) < self._entries_max - 1
-            if lost and room:
-                self._reported += lost
+                lost, room = self.lost, len(self._waiting) < self._entries_max - 1
+            if lost > self._reported and room:
+                self._reported = lost
                 with contextlib.suppress(Exception):
                     self._on_lost(lost, blocked_s)
                 blocked_s = 0.0

@@ -69,7 +69,10 @@ def lost_lines() -> int:
 
 
 def _report_lost(lines: int, blocked_s: float) -> None:
-    log.warning(f"the log was blocked for {blocked_s:.0f} s: {lines} lines are lost; check the terminal or journal")
+    log.warning(
+        f"the log was blocked for {blocked_s:.0f} s: {lines} lines are lost since the start; "
+        "check the terminal or journal"
+    )
 
 
 class _Logger:

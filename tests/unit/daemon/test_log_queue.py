@@ -85,7 +85,7 @@ def test_an_output_that_stalls_blocks_no_logger_and_the_newest_lines_follow(
         assert not flush(0.05)
         if output is stopped_terminal:
             termios.tcflow(writer, termios.TCOON)
-        text = read_until(reader, b"check the terminal or journal")
+        text = read_until(reader, f"{lost_lines()} lines are lost".encode())
         monkeypatch.undo()
     lines = [json.loads(line) for line in text.decode().splitlines() if line.startswith("{") and line.endswith("}")]
     assert f"{lost_lines()} lines are lost" in lines[-1]["event"]
