@@ -275,6 +275,29 @@ def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path
     run_virtual(scene())
 
 
+@pytest.mark.parametrize("cleared", [False, True])
+def test_after_a_damaged_file_a_fault_does_not_say_that_nothing_was_held(tmp_path: Path, cleared: bool) -> None:
+    """The gripper has not been active since the start: what it holds stays unknown over a second start."""
+    (tmp_path / "last_grasp.json").write_text("not JSON")
+    store = StateDir(tmp_path)
+    started = restore_control_state(store, warning=list[str]().append)
+    fault = Fault(FaultCode.FRAMES_LOST, "no frames for 0.3 s", "check the cable")
+
+    async def scene() -> None:
+        saver = LastGraspSaver(store, list[str]().append, list[str]().append)
+        latched = ControlState(replace(started.grasp, phase=Phase.FAULT, fault=fault))
+        saver.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=fault), latched))
+        await asyncio.sleep(0.1)
+        if cleared:
+            saver.add_decision(Decision(2.0, Phase.IDLE, Observation(2.0), StepOutput(), started))
+            await asyncio.sleep(0.1)
+
+    asyncio.run(scene())
+    again = restore_control_state(store).grasp
+    assert again.adoption == Adoption(outdated=True)
+    assert again.fault == (None if cleared else fault)
+
+
 def test_the_daemon_reports_a_damaged_file(tmp_path: Path) -> None:
     (tmp_path / "last_grasp.json").write_text('{"format": 5, "force_')
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}

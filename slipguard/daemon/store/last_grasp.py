@@ -75,11 +75,12 @@ def restore_control_state(
     outdated = last.outdated(now)
     if outdated is not None:
         warning(f"the grip from before the restart is not used: {outdated}")
-        grasp = replace(grasp, adoption=Adoption(outdated=last.force_n > 0.0))
+        grasp = replace(grasp, adoption=Adoption(outdated=last.force_n > 0.0 or last.may_hold))
     else:
         known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm)
         grip = known if last.force_n > 0.0 else None
-        grasp = replace(grasp, adoption=Adoption(remembered=grip), person=PersonNear(last.person_near))
+        adoption = Adoption(remembered=grip, outdated=last.may_hold)
+        grasp = replace(grasp, adoption=adoption, person=PersonNear(last.person_near))
     if last.fault is not None:
         grasp = replace(
             grasp,
@@ -93,9 +94,10 @@ def restore_control_state(
 
 @dataclass(frozen=True, slots=True)
 class _SavedGrasp:
-    """What is stored. grip: None if nothing is held."""
+    """What is stored. grip: None if nothing is held, or it is not known how; then may_hold is set."""
 
     grip: RememberedGrip | None = None
+    may_hold: bool = False
     person_near: bool = False
     fault: Fault | None = None
     release_requested: bool = False
@@ -129,7 +131,7 @@ class LastGraspSaver:
             return  # a later cycle will do
         grasp, gripper, fault = decision.memory.grasp, decision.observation.gripper, decision.output.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
-        new = _SavedGrasp(None, grasp.person.forbids_force)
+        new = _SavedGrasp(person_near=grasp.person.forbids_force)
         if fault is not None:
             new = replace(
                 new,
@@ -145,7 +147,8 @@ class LastGraspSaver:
             self._save(_SavedGrasp(), decision)
         elif new.latched != self._saved.latched:
             # Whether something is held is unknown now, so the last known grip stays.
-            self._save(replace(new, grip=self._saved.grip if self._known else grasp.adoption.remembered), decision)
+            last = self._saved.grip if self._known else grasp.adoption.remembered
+            self._save(replace(new, grip=last, may_hold=grasp.adoption.outdated), decision)
 
     def _save(self, new: _SavedGrasp, decision: Decision) -> None:
         same = self._known and not _differs(new, self._saved)
@@ -156,7 +159,7 @@ class LastGraspSaver:
         self._disk.begin(lambda: self._write(new))
 
     def _write(self, new: _SavedGrasp) -> None:
-        if new.grip is None and new.fault is None:
+        if new == _SavedGrasp(person_near=new.person_near):
             self._store.delete_last_grasp()
             return
         grip = new.grip or NO_GRIP
@@ -166,6 +169,7 @@ class LastGraspSaver:
                 force_n=grip.force_n,
                 width_mm=grip.width_mm,
                 applied=grip.applied,
+                may_hold=new.may_hold,
                 person_near=new.person_near,
                 lift_start_mm=grip.lift_start_mm,
                 fault=new.fault,

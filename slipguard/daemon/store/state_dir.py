@@ -57,6 +57,7 @@ class LastGrasp(DatedFile):
     force_n: last commanded; 0 if nothing was held. applied: the gripper had confirmed that force. person_near: the arm
     was in a protective or emergency stop, or had been in one since the fault, so the force was not to be increased.
     fault: latched at that time.
+    may_hold: something may have been held, with unknown force and width.
     lift_start_mm: tool position where the lift began, in the arm's own frame.
     release_requested, closing_interrupted: the object was not to be guarded during the fault (see `GraspState`).
     """
@@ -65,6 +66,7 @@ class LastGrasp(DatedFile):
     force_n: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     width_mm: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     applied: bool = True
+    may_hold: bool = False
     person_near: bool = False
     lift_start_mm: tuple[float, float, float] | None = None
     fault: Fault | None = None
