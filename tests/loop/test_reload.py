@@ -18,7 +18,7 @@ from slipguard.cli.run import bind_api
 from slipguard.config import Config, parse_config
 from slipguard.control.state import Phase
 from slipguard.daemon import run as root
-from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, GuardRequest, LiftRequest
+from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, GuardRequest, LiftRequest, MoveJawsRequest
 from slipguard.daemon.api.snapshot import snapshot
 from slipguard.daemon.reload import CurrentGrip, Reloader, current_grip, find_changes, refusal_reason
 from slipguard.errors import CommandRefused, ConfigError
@@ -192,7 +192,7 @@ def test_with_the_last_valid_configuration_nothing_new_is_gripped_or_lifted() ->
         await cell.grasp()
         await cell.lift()
         cell.service.config_problem = "config.toml: guard.forse: no such key. Correct the file"
-        for request in (GraspRequest(), LiftRequest(), ActivateRequest(confirm=True)):
+        for request in (GraspRequest(), LiftRequest(), ActivateRequest(confirm=True), MoveJawsRequest(width_mm=60.0)):
             with pytest.raises(CommandRefused, match=f"cannot {request.kind}: config.toml: guard.forse"):
                 await cell.submit(request)
         await cell.submit(GuardRequest(on=True))

@@ -37,6 +37,8 @@ from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.recording.recorder import Recorder
 from slipguard.thread_priority import set_worker_priority
 
+NOT_WITH_OLD_CONFIG = (GraspRequest, LiftRequest, ActivateRequest, MoveJawsRequest)
+"""Refused while the configuration file is not valid and the last valid one is in use."""
 ACTIVATED_WITHIN_S = 15.0
 """A 2F-85 takes about 3 s."""
 ACTIVATION_POLL_S = 0.05
@@ -125,7 +127,7 @@ class RequestHandlers(DaemonApi):
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + EXECUTE_WITHIN_S if deadline_s is None else deadline_s
         problem = self._service.config_problem
-        if problem is not None and isinstance(request, GraspRequest | LiftRequest | ActivateRequest):
+        if problem is not None and isinstance(request, NOT_WITH_OLD_CONFIG):
             raise CommandRefused(f"cannot {request.kind}: {problem}")
         match request:
             case CalibrateRequest():
