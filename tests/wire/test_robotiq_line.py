@@ -58,6 +58,7 @@ async def test_a_new_connection_ignores_responses_to_old_requests(emulator: Robo
     with pytest.raises(DeviceTimeout):
         await old.read(0x07D0, 3, soon_s())
     old.close()
+    await old.closed()
     emulator.control("gflt 0x0E")
     await new.connect()
     assert (await new.read(0x07D0, 3, soon_s()))[1] >> 8 == 0x0E
