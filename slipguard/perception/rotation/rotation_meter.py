@@ -1,9 +1,8 @@
-"""Measures rotation and shift of a contact since the reference, and decides when a contact becomes the reference."""
+"""Measures rotation and shift of a contact since the reference."""
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,34 +11,18 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import StageTimer
-from slipguard.perception.quality.background import estimate_background
 from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotation_of_axes
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
-from slipguard.perception.rotation.fusion import (
-    RotationEstimate,
-    fuse_rotation,
-    is_certain,
-    needs_contour,
-)
-from slipguard.perception.rotation.gel_contour import GelContour
+from slipguard.perception.rotation.fusion import RotationEstimate, fuse_rotation, is_certain, needs_contour
+from slipguard.perception.rotation.reference import Reference, ReferenceChoice, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
-from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
+from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_registration import TextureFit
-from slipguard.perception.rotation.texture_template import make_texture_template
-from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
+from slipguard.perception.rotation.texture_tracker import TrackedTexture
 from slipguard.perception.settings import PerceptionSettings
 
-STABLE_FRAMES = 5
-STABLE_SHARE = 0.05
-"""The contact area is stable if the last five frames differ by less than this share of it."""
-STABLE_WAIT_S = 0.095
-"""A contact that is not stable after this time becomes the reference as it is: in three or six frames, below 0.1 s."""
-GROWN = 1.5
-CARRIED_SIGMA_DEG = 1.5
-"""While the force grows, a reference that was not stable follows: it is replaced when the contact area has grown by
-this factor, if the rotation until then is known to this sigma; that rotation is added from then on."""
 UNKNOWN_SIGMAS = 2.0
 """Factor on sigma without a background image."""
 GROWTH_SIGMAS = 2.0
@@ -53,33 +36,6 @@ WHOLE_DEG, WHOLE_PX = 8.0, 3.0
 with the reference, rotation and shift (texture pixels)."""
 SECOND_START_DEG = 4.0
 """If the axis points further away than this from the registered contour, registration also starts from there."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """What rotations are measured against. axes: by estimator. Center in frame pixels.
-
-    image: the reference frame, (320, 240, 3) uint8. shift: measures the shift since then. texture: tracks the texture
-    in the contact; None without a background image, or if the contact has too little texture. contour: recognizes a
-    contour that is the gel's own.
-    """
-
-    image: NDArray[np.uint8]
-    axes: PatchAxes
-    patch: Patch
-    texture: TextureTracker | None
-    contour: GelContour
-    center_px: tuple[float, float]
-    shift: ShiftMeter
-
-
-@dataclass(frozen=True, slots=True)
-class RotationMeasurement:
-    """Rotation since the reference, its shift (None without a reference), and the axes used."""
-
-    rotation: RotationEstimate
-    shift: ShiftMeasurement | None
-    axes: PatchAxes
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,17 +76,14 @@ class RotationMeter:
         self._tracker = RotationTracker() if tracker is None else tracker
         self._template: ContourTemplate | None = None
         self._pose = ContourPose()
-        self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
-        self._contact_since_s: float | None = None
-        self._provisional = False
-        self._carried: RotationMeasurement | None = None
+        self._choice = ReferenceChoice(settings.reference == "first")
         self._whole_fit: TextureFit | None = None
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
     @property
     def carried_deg(self) -> float:
         """Rotation up to the present reference, which is part of every rotation; 0 for the first reference."""
-        return 0.0 if self._carried is None else self._carried.rotation.rotation_deg or 0.0
+        return self._choice.carried_deg
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Return the rotation rate at `now_s`; None if unknown."""
@@ -138,8 +91,7 @@ class RotationMeter:
 
     def note_no_contact(self) -> None:
         """Require a new run of stable frames for a reference that is not taken yet."""
-        self._areas.clear()
-        self._contact_since_s = None
+        self._choice.note_no_contact()
 
     def note_unchanged(self, now_s: float) -> None:
         """Note that the image at `now_s` shows no change: the rotation is still the last one."""
@@ -162,21 +114,22 @@ class RotationMeter:
             now_s: Its capture time.
             timer: Collects the time per stage.
         """
-        stable = self._is_stable(patch)
+        choice = self._choice
+        stable = choice.is_stable(patch)
         if self.reference is not None:
             found = self._measure(self.reference, image, patch, now_s, self._axes.fast(patch, timer), timer)
-            if not self._outgrown(found.rotation, patch, stable):
-                return self._with_carried(found)
-            self._carried = self._with_carried(found)
-        elif stable or self._waited(now_s):
-            self._carried = None
+            if not choice.outgrown(self.reference, found.rotation, patch, stable):
+                return choice.with_carried(found)
+            choice.carry(choice.with_carried(found))
+        elif stable or choice.waited(now_s):
+            choice.carry(None)
         else:
             axes = self._axes.fast(patch, timer)
             return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, axes)
         axes = self.take_reference(image, patch, now_s, timer)
-        self._provisional = not stable
+        choice.provisional = not stable
         assert self.reference is not None
-        return self._with_carried(self._measure(self.reference, image, patch, now_s, axes, timer))
+        return choice.with_carried(self._measure(self.reference, image, patch, now_s, axes, timer))
 
     def _measure(
         self,
@@ -254,7 +207,7 @@ class RotationMeter:
         reference, before = self.reference, self._whole_fit
         if reference is None or reference.texture is None or before is None or self._tracker.offered_deg is not None:
             return None
-        if self._provisional or self._carried is not None:
+        if self._choice.provisional or self._choice.carries:
             return None
         if self._settings.estimator not in ("fused", "registration") or now_s - self._tracker.known_at_s > GAP_S:
             return None
@@ -292,70 +245,14 @@ class RotationMeter:
         Returns:
             The patch's axes by every estimator.
         """
-        texture = template = None
-        reader = self._reader or TextureMapReader(estimate_background(image))
-        reader.learn(image, patch)
-        texture_map = reader.read(image, patch)
-        if self._reader is not None:
-            template = make_texture_template(texture_map, patch)
-            texture = None if template is None else TextureTracker(template, rotation_deg is not None)
-        contour = GelContour(texture_map, reader.slopes(image, patch), patch)
-        timer.mark("reference")
         axes = self._axes.all(patch, self._axes.fast(patch, timer), timer)
-        shift = ShiftMeter(template, patch)
-        self.reference = Reference(image, axes, patch, texture, contour, patch.center_px, shift)
+        self.reference = make_reference(image, patch, axes, self._reader, rotation_deg is not None)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._whole_fit = None
         self._template = None
         self._pose = ContourPose(rotation_deg or 0.0)
         return axes
-
-    def _is_stable(self, patch: Patch) -> bool:
-        """Return whether a patch may become the reference."""
-        self._areas.append(patch.area_px)
-        if self._settings.reference == "first":
-            return True
-        largest, smallest = max(self._areas), min(self._areas)
-        return len(self._areas) == STABLE_FRAMES and largest - smallest < STABLE_SHARE * largest
-
-    def _waited(self, now_s: float) -> bool:
-        """Return whether the contact has lasted long enough for a reference although its area still changes."""
-        if self._contact_since_s is None or now_s < self._contact_since_s:
-            self._contact_since_s = now_s
-        return now_s - self._contact_since_s >= STABLE_WAIT_S
-
-    def _outgrown(self, rotation: RotationEstimate, patch: Patch, stable: bool) -> bool:
-        """Return whether a reference that was not stable is to be replaced by this patch, which has grown."""
-        if self.reference is None or not self._provisional:
-            return False
-        if rotation.sigma_deg is None or rotation.sigma_deg > CARRIED_SIGMA_DEG:
-            return False
-        self._provisional = not stable
-        return patch.area_px > GROWN * self.reference.patch.area_px
-
-    def _with_carried(self, found: RotationMeasurement) -> RotationMeasurement:
-        """Add the rotation up to the present reference."""
-        if self._carried is None:
-            return found
-        rotation, before = found.rotation, self._carried.rotation
-        before_deg, before_sigma_deg = before.rotation_deg or 0.0, before.sigma_deg or 0.0
-        if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
-            sigma_deg = math.hypot(rotation.sigma_deg, before_sigma_deg)
-            rotation = replace(rotation, rotation_deg=rotation.rotation_deg + before_deg, sigma_deg=sigma_deg)
-        if rotation.unconfirmed is not None:
-            jump = rotation.unconfirmed
-            sigma_deg = math.hypot(jump.sigma_deg, before_sigma_deg)
-            jump = replace(jump, rotation_deg=jump.rotation_deg + before_deg, sigma_deg=sigma_deg)
-            rotation = replace(rotation, unconfirmed=jump)
-        shift, before_shift = found.shift, self._carried.shift
-        if shift is not None and before_shift is not None:
-            if before_shift.shift_px is None:
-                shift = replace(shift, shift_px=None, period_px=shift.period_px or before_shift.period_px)
-            elif shift.shift_px is not None:
-                (dx, dy), (before_x, before_y) = shift.shift_px, before_shift.shift_px
-                shift = replace(shift, shift_px=(dx + before_x, dy + before_y))
-        return replace(found, rotation=rotation, shift=shift)
 
     def _predicted_deg(self, reference: Reference, now_s: float) -> float:
         """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
