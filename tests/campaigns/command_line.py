@@ -121,10 +121,10 @@ def fit_perception_errors(
 ) -> None:
     """Measure the pipeline's errors for each test object and print the error model of `slipguard bench --grip`.
 
-    Run it again when the network or an estimator has changed. The table belongs into
-    `slipguard/bench/grip/perception_models.py`.
+    Run it again when the network or an estimator has changed. The output is the file
+    `slipguard/bench/grip/perception_errors.csv`.
 
-    Example: `python -m tests.campaigns fit-perception-errors`
+    Example: `python -m tests.campaigns fit-perception-errors > perception_errors.csv`
     """
     from tests.campaigns.fit_perception_errors import error_table
 

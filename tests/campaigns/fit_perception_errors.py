@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 from itertools import groupby
 
 import numpy as np
@@ -180,9 +180,7 @@ def _wander(values: NDArray[np.float64]) -> float:
 
 
 def error_table(grasps: int) -> str:
-    """Return the error model of every test object, as Python."""
-    lines = []
-    for name in TEST_OBJECTS:
-        values = ", ".join(f"{value:.4g}" for value in astuple(fit_errors(name, grasps)))
-        lines.append(f'    "{name}": PerceptionErrors({values}),')
-    return "\n".join(lines)
+    """Return the error model of every test object, as CSV."""
+    rows = [("object", *(field.name for field in fields(PerceptionErrors)))]
+    rows += [(name, *(f"{value:.4g}" for value in astuple(fit_errors(name, grasps)))) for name in TEST_OBJECTS]
+    return "\n".join(",".join(row) for row in rows)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,60 +179,14 @@ class ModeledFinger:
         return True
 
 
-PERCEPTION_ERRORS: dict[str, PerceptionErrors] = {
-    "bar": PerceptionErrors(
-        0.02206, 0.003231, 0.01416, 0.04896, 0, 0.1, 0.01365, 0.0928, 0.00115, 0.001249, 0.001488, 0.124, 0.007697
-    ),
-    "wedge": PerceptionErrors(
-        0.03752, 0.01074, 0.1101, 0.09033, 0, 0.1, 0.03532, 0.521, 0.005914, 0.006706, 0.02797, 0.8667, 0.1405
-    ),
-    "wrench": PerceptionErrors(
-        0.01051, 0.001674, 0.009855, 0.03876, 0, 0.1, 0.008281, 0.3053, 0.001383, 0.0011, 0.01173, 0.04693, 0.001798
-    ),
-    "knife_edge": PerceptionErrors(
-        0.009098, 0.02008, 0.09285, 0.04772, 0, 0.1, 0.009407, 1.152, 0.002437, 0.004298, 0.00988, 1.241, 0.0176
-    ),
-    "key": PerceptionErrors(
-        0.005057,
-        0.0007238,
-        0.006394,
-        0.03435,
-        0,
-        0.1,
-        0.003804,
-        0.04536,
-        0.0005832,
-        0.0005123,
-        0.0252,
-        0.01564,
-        0.002603,
-    ),
-    "screwdriver": PerceptionErrors(
-        0.03473, 0.00367, 0.01284, 0.07853, 0, 0.1, 0.1035, 0.708, 0.03231, 0.0644, 0.03275, 0.8562, 0.542
-    ),
-    "cap": PerceptionErrors(
-        0.00566, 0.003076, 0.0337, 0.03705, 0, 0.1, 0.004306, 0.0394, 0.0004128, 0.000357, 0.00106, 0.005058, 0.0004981
-    ),
-    "ball": PerceptionErrors(
-        0.02932, 0.01092, 0.04572, 0.1255, 0, 0.1, 0.0225, 0.72, 0.0007706, 0.0006354, 0.0008367, 0.01961, 0.001208
-    ),
-    "hook": PerceptionErrors(
-        0.02444,
-        0.0121,
-        0.0247,
-        0.07376,
-        0.0005992,
-        0.01667,
-        0.03399,
-        1.772,
-        0.001341,
-        0.001476,
-        0.01486,
-        0.1539,
-        0.009321,
-    ),
-}
-"""In the order of the fields; from `python -m tests.campaigns fit-perception-errors`."""
+def errors_from_csv(text: str) -> dict[str, PerceptionErrors]:
+    """Return the errors by object, from a row for each object with a column for each field."""
+    rows = list(csv.DictReader(text.splitlines()))
+    return {row.pop("object"): PerceptionErrors(**{name: float(value) for name, value in row.items()}) for row in rows}
+
+
+PERCEPTION_ERRORS = errors_from_csv((Path(__file__).parent / "perception_errors.csv").read_text(encoding="utf-8"))
+"""By test object, as measured with `python -m tests.campaigns fit-perception-errors`."""
 
 
 LIGHT_LEVELS_S = 0.3

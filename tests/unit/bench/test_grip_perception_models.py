@@ -14,6 +14,7 @@ from slipguard.bench.grip.perception_models import (
     PerceptionErrors,
     RotationDrift,
     RotationOutliers,
+    errors_from_csv,
 )
 from slipguard.bench.grip.scenarios import TEST_OBJECTS
 from slipguard.perception.estimate import Estimate
@@ -37,6 +38,11 @@ def test_it_takes_a_reference_and_reports_rotation_and_shift_since_then() -> Non
     moved = finger.process(GelView("key", 1.0, -2.0, 21.0, 0.5), 0.14, 7)
     assert (moved.rotation_deg, moved.shift_mm, moved.sigma_deg) == (pytest.approx(1.0), (1.0, -2.0), 0.2)
     assert not finger.process(GelView("key"), 0.16, 8).contact
+
+
+def test_errors_are_read_by_the_name_of_their_column() -> None:
+    found = errors_from_csv("object,growth_deg,noise_deg\nkey,0.5,0.01\n")
+    assert found == {"key": PerceptionErrors(growth_deg=0.5, noise_deg=0.01)}
 
 
 def test_every_test_object_has_measured_errors_of_rotation_and_shift() -> None:
