@@ -1,1 +1,1 @@
-"""Grip controllers in closed loop with the simulated cell: slipguard, no guard, a fixed step and an oracle."""
+"""Grip controllers in closed loop with the simulated cell: slipguard, baselines, and two bounds of what is possible."""

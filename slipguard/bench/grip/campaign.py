@@ -17,9 +17,11 @@ QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
 """Duration of the hold after the lift of a firm grasp."""
 BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), "proportional steps", "fixed step")
 BOUND = "clairvoyant"
+REACTIVE = "reactive"
 REACTING = ("slipguard", "proportional steps", "fixed step")
 ANSWERABLE_DEG, ANSWERABLE_MM = 2.5, 2.5
-"""If the clairvoyant bound slips further, the load arrives faster than the gripper tightens."""
+"""If the clairvoyant bound slips further, the load arrives faster than the gripper tightens; if the reactive one does,
+faster than camera, wire and jaws act together."""
 NO_SLIP, CERTAIN = 0.05, 1.25
 """A constant that holds without slip at this multiple of the needed force holds at any larger one: it is not run."""
 
@@ -67,8 +69,16 @@ class ScenarioResult:
     @property
     def answerable(self) -> bool:
         """Whether the actuator is fast enough to keep the slip small: the clairvoyant bound does."""
-        bound = self.outcomes[BOUND]
-        return bound.slip_deg <= ANSWERABLE_DEG and bound.slide_mm <= ANSWERABLE_MM
+        return _small(self.outcomes[BOUND])
+
+    @property
+    def avoidable(self) -> bool:
+        """Whether a controller that reacts to what the cameras see can keep the slip small: the reactive bound does."""
+        return _small(self.outcomes[REACTIVE])
+
+
+def _small(outcome: GripOutcome) -> bool:
+    return outcome.slip_deg <= ANSWERABLE_DEG and outcome.slide_mm <= ANSWERABLE_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +97,11 @@ class GripCampaignResult:
     def beyond_actuator(self) -> list[ScenarioResult]:
         """Weak lifts in which load arrives faster than the gripper tightens: no controller holds them."""
         return [one for one in self.results if one.scenario.weak and not one.answerable]
+
+    @property
+    def avoidable(self) -> list[ScenarioResult]:
+        """Lifts with a first grip that is too weak, as far as camera, wire and jaws can answer."""
+        return [one for one in self.results if one.scenario.weak and one.avoidable]
 
     @property
     def firm(self) -> list[ScenarioResult]:
@@ -113,7 +128,7 @@ def run_scenario(item: tuple[GripScenario, bool], plant: PlantName, hold_s: floa
     held_s = hold_s if scenario.firm else 0.0
     outcomes |= {name: run_lift(scenario, name, plant, hold_s=held_s) for name in REACTING}
     if scenario.weak:
-        outcomes["no guard"] = run_lift(scenario, "no guard", plant)
+        outcomes |= {name: run_lift(scenario, name, plant) for name in (REACTIVE, "no guard")}
         outcomes |= _constants(scenario, plant)
     seen = run_lift(scenario, "slipguard", plant, rendered=True) if rendered else None
     return ScenarioResult(scenario, outcomes, seen)

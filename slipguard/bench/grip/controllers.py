@@ -18,6 +18,8 @@ PROPORTIONAL_DEG, PROPORTIONAL_MM = 2.0, 1.0
 """The proportional steps add this force for each degree and mm since the last step, once one of these is passed."""
 SETTLED_DEG, SETTLE_S = 1.0, 0.3
 """A stopped arm continues after a rotation below this for this time."""
+VISIBLE_DEG, VISIBLE_MM = 0.1, 0.02
+"""A motion beyond one of these exceeds the noise of the pipeline on textured objects."""
 REACHED_MM = 0.5
 SLOW_MM, SLOW_MM_S = 15.0, 20.0
 """Every lift starts slowly, as slipguard's does by default."""
@@ -138,5 +140,41 @@ class Clairvoyant(UnguardedController):
 
     wanted_n: float = 0.0
 
+    def load_begins(self, wanted_n: float, truth: WorldTruth) -> None:
+        """Take the force that the arriving load needs."""
+        self.wanted_n = wanted_n
+
     def more_n(self, observation: Observation) -> float | None:
         return self.wanted_n if self.wanted_n > self.target_n else None
+
+
+@dataclass(slots=True)
+class Reactive(Clairvoyant):
+    """Commands the force that a load needs once the load has moved the object visibly: no controller can react earlier.
+
+    What happens until then, and until the jaws act, is the physical bound: camera, wire and jaws.
+
+    Attributes:
+        delay_s: from an exposure to its estimate.
+        start: the truth when the load began to arrive.
+        visible_s: when the controller has the first estimate of a moved object.
+    """
+
+    delay_s: float = 0.0
+    start: WorldTruth | None = None
+    visible_s: float = math.inf
+
+    def load_begins(self, wanted_n: float, truth: WorldTruth) -> None:
+        """Take the force that the arriving load needs; act on it only once the load is visible."""
+        self.wanted_n, self.start, self.visible_s = wanted_n, truth, math.inf
+
+    def exposed(self, truth: WorldTruth) -> None:
+        if self.start is None or self.visible_s < math.inf:
+            return
+        moved_deg, moved_mm = truth.rotation_deg - self.start.rotation_deg, truth.slip_mm - self.start.slip_mm
+        if abs(moved_deg) > VISIBLE_DEG or abs(moved_mm) > VISIBLE_MM:
+            self.visible_s = truth.time_s + self.delay_s
+
+    def more_n(self, observation: Observation) -> float | None:
+        visible = observation.now_s >= self.visible_s
+        return self.wanted_n if visible and self.wanted_n > self.target_n else None

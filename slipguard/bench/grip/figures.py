@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipguard.bench.grip.campaign import BASELINES, BOUND, GripCampaignResult, ScenarioResult
+from slipguard.bench.grip.campaign import BASELINES, BOUND, REACTIVE, GripCampaignResult, ScenarioResult
 from slipguard.bench.grip.lift_run import GripOutcome
 
 FLOOR_DEG, FINE_FLOOR_DEG = 0.5, 0.1
@@ -82,13 +82,13 @@ def pareto_rows(results: Sequence[ScenarioResult]) -> list[ControllerRow]:
     """Return a row of every controller; empty without results."""
     if not results:
         return []
-    names = ("slipguard", BOUND, *BASELINES)
+    names = ("slipguard", BOUND, REACTIVE, *BASELINES)
     return [ControllerRow.of(name, [one.outcomes[name] for one in results]) for name in names]
 
 
-def excess_over_bound(results: Iterable[ScenarioResult]) -> list[tuple[float, float]]:
-    """Return how much further slipguard's objects slipped than the bound's, in degrees and mm, by lift."""
-    pairs = [(one.slipguard, one.outcomes[BOUND]) for one in results]
+def excess_over_bound(results: Iterable[ScenarioResult], bound: str = BOUND) -> list[tuple[float, float]]:
+    """Return how much further slipguard's objects slipped than a bound's, in degrees and mm, by lift."""
+    pairs = [(one.slipguard, one.outcomes[bound]) for one in results]
     return [(a.slip_deg - b.slip_deg, a.slide_mm - b.slide_mm) for a, b in pairs]
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slipguard.bench.grip import figures
-from slipguard.bench.grip.campaign import REACTING, GripCampaignResult, ScenarioResult
+from slipguard.bench.grip.campaign import REACTING, REACTIVE, GripCampaignResult, ScenarioResult
 from slipguard.bench.grip.lift_run import GripOutcome
 from slipguard.bench.grip.scenarios import PADS
 
@@ -32,6 +32,7 @@ def as_json(found: GripCampaignResult) -> dict[str, object]:
         "scenarios": len(found.results),
         "weak": len(weak),
         "beyond_actuator": _beyond(found.beyond_actuator),
+        "physical_bound": _physical_bound(found),
         "rendered": sum(one.rendered is not None for one in found.results),
         "drops_avoidable": figures.drops_beyond_bound(found.results),
         "drops_beyond_bound": figures.drops_beyond_bound(found.results),
@@ -83,6 +84,20 @@ def _beyond(results: Sequence[ScenarioResult]) -> dict[str, Any]:
         "drops_of_bound": sum(not one.holdable for one in results),
         "slip_over_bound_median_deg": _rounded(figures.median([deg for deg, _ in excess])),
         "slide_over_bound_median_mm": _rounded(figures.median([mm for _, mm in excess])),
+    }
+
+
+def _physical_bound(found: GripCampaignResult) -> dict[str, Any]:
+    """Return the figures of all weak lifts against the reactive bound, and of those that this bound holds."""
+    excess = figures.excess_over_bound((one for one in found.results if one.scenario.weak), REACTIVE)
+    rows = figures.pareto_rows(found.avoidable)
+    return {
+        "weak": len(excess),
+        "slip_over_reactive_p95_deg": _rounded(figures.quantile([deg for deg, _ in excess], 0.95)),
+        "slide_over_reactive_p95_mm": _rounded(figures.quantile([mm for _, mm in excess], 0.95)),
+        "avoidable": len(found.avoidable),
+        "dominated_by": figures.dominated_by(rows),
+        "controllers": [row.as_json() for row in rows],
     }
 
 

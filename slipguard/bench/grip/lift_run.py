@@ -14,6 +14,7 @@ from slipguard.bench.grip.controllers import (
     Clairvoyant,
     FixedStep,
     ProportionalSteps,
+    Reactive,
     SlipguardController,
     UnguardedController,
 )
@@ -39,6 +40,8 @@ CONSTANTS = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 """Constant forces, relative to the force limit; at least what the gripper's weakest grip is."""
 BOUND_MARGIN = 1.02
 """The clairvoyant bound grips with this much more than the needed force."""
+REACTIVE_MARGIN = 1.3
+"""The reactive bound must also stop an object that moves already."""
 EARLIER_GRASPS = 2
 """slipguard has gripped other objects with the same pads before: it learns their stiffness. A start is rarer."""
 START_S = 100.0
@@ -104,12 +107,13 @@ def run_lift(
     """Run a scenario; equal arguments give equal outcomes.
 
     Args:
-        controller: "slipguard", "no guard", "proportional steps", "fixed step", "clairvoyant", or "constant 0.30".
+        controller: "slipguard", "no guard", "proportional steps", "fixed step", "clairvoyant", "reactive", or
+            "constant 0.30".
         hold_s: Duration of taps, shaking and arm motions after the event.
         rendered: With rendered frames and the shipped pipeline instead of the error model.
     """
     params = guard_params(params or GuardParams(), scenario)
-    decides = _controller(controller, params)
+    decides = _controller(controller, params, scenario)
     start_s = START_S
     if isinstance(decides, SlipguardController):
         for other in earlier_grasps(scenario, EARLIER_GRASPS):
@@ -186,13 +190,15 @@ def _world(scenario: GripScenario, plant: PlantName, start_s: float) -> World:
     return world
 
 
-def _controller(name: str, params: GuardParams) -> SlipguardController | UnguardedController:
+def _controller(name: str, params: GuardParams, scenario: GripScenario) -> SlipguardController | UnguardedController:
     if name == "slipguard":
         return SlipguardController(params)
     if name == "proportional steps":
         return ProportionalSteps(force_max_n=params.force_max_n)
     if name == "fixed step":
         return FixedStep(force_max_n=params.force_max_n)
+    if name == "reactive":
+        return Reactive(delay_s=scenario.pose.left.latency_s + PERCEIVING_S)
     return Clairvoyant() if name == "clairvoyant" else UnguardedController()
 
 
@@ -299,10 +305,14 @@ class _Run:
             self._loop.outage = lambda name, now_s: name == finger and from_s <= now_s < from_s + lasts_s
 
     def _known(self, needed_n: float) -> None:
-        """Give the clairvoyant bound the force of the load that arrives now."""
-        controller, gripper = self._loop.controller, self._scenario.pose.gripper
-        if isinstance(controller, Clairvoyant):
-            controller.wanted_n = min(BOUND_MARGIN * needed_n / gripper.gain, self._scenario.force_max_n)
+        """Give the bounds the force of the load that arrives now. The reactive one leaves a grip that holds it."""
+        controller, gripper, truth = self._loop.controller, self._scenario.pose.gripper, self._loop.truth()
+        if not isinstance(controller, Clairvoyant):
+            return
+        margin = BOUND_MARGIN
+        if isinstance(controller, Reactive):
+            margin = REACTIVE_MARGIN if truth.force_n < needed_n else 0.0
+        controller.load_begins(min(margin * needed_n / gripper.gain, self._scenario.force_max_n), truth)
 
     def _rest(self, limit_s: float, height_mm: float) -> None:
         """Run until the object rests at this height, is dropped, or the time is over."""

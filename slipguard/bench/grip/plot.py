@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from slipguard.bench.grip import figures
-from slipguard.bench.grip.campaign import BOUND, GripCampaignResult
+from slipguard.bench.grip.campaign import BOUND, REACTIVE, GripCampaignResult
 from slipguard.bench.grip.figures import ControllerRow
 from slipguard.tools import plotting
 
 COLORS = {
     "slipguard": "tab:blue",
     BOUND: "tab:green",
+    REACTIVE: "tab:olive",
     "proportional steps": "tab:red",
     "fixed step": "tab:orange",
     "no guard": "tab:gray",

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.bench.grip import figures
-from slipguard.bench.grip.campaign import BOUND, REACTING, GripCampaignResult
+from slipguard.bench.grip.campaign import BOUND, REACTING, REACTIVE, GripCampaignResult
 from slipguard.bench.grip.json_figures import as_json, checks
 
 HEADS = ("", "n", "slip", "p95", "max", "slide", "max", "drops", "force", "p95")
@@ -21,6 +21,10 @@ def print_tables(console: Console, found: GripCampaignResult) -> None:
     rows = figures.pareto_rows(weak)
     title = f"{len(weak)} lifts with a first grip that is too weak: {_plan(found)}"
     console.print(_table(title, HEADS, [_cells(row.controller, row) for row in rows]))
+    avoidable = figures.pareto_rows(found.avoidable)
+    excess = figures.excess_over_bound((one for one in found.results if one.scenario.weak), REACTIVE)
+    title = f"{len(found.avoidable)} of all {len(excess)} weak first grips that camera, wire and jaws can answer"
+    console.print(_table(title, HEADS, [_cells(row.controller, row) for row in avoidable]))
     lines = []
     for name, part in figures.groups(found).items():
         for controller in ("slipguard", BOUND):
@@ -54,7 +58,8 @@ def print_tables(console: Console, found: GripCampaignResult) -> None:
     console.print(
         "slip: true rotation at the end without elastic torsion, in degrees, median; slide: translation in mm, p95; a "
         "dropped object counts as 60° and 12 mm; force: largest true over needed force, median; constant: share of the "
-        "force limit; clairvoyant: commands the needed force when the load begins to arrive",
+        "force limit; clairvoyant: commands the needed force when the load begins to arrive; reactive: 1.3 times "
+        "that when the cameras have seen the object move",
         style="dim",
     )
 

@@ -10,7 +10,15 @@ import pytest
 from rich.console import Console
 
 from slipguard.bench.grip import figures
-from slipguard.bench.grip.campaign import BASELINES, BOUND, REACTING, CampaignPlan, GripCampaignResult, ScenarioResult
+from slipguard.bench.grip.campaign import (
+    BASELINES,
+    BOUND,
+    REACTING,
+    REACTIVE,
+    CampaignPlan,
+    GripCampaignResult,
+    ScenarioResult,
+)
 from slipguard.bench.grip.json_figures import LIMITS, as_json, checks, failures, scenarios_as_json
 from slipguard.bench.grip.lift_run import GripOutcome
 from slipguard.bench.grip.plot import draw
@@ -26,7 +34,7 @@ OLD_KEYS = {
 }  # fmt: skip
 NEW_KEYS = {
     "plant", "seed_set", "force_over_needed_p95", "slip_p95_deg", "slip_worst_deg", "drops_beyond_bound",
-    "firm_tightened_share", "dominated_by",
+    "firm_tightened_share", "dominated_by", "physical_bound",
 }  # fmt: skip
 PLAN = replace(CampaignPlan.of(quick=True), scenarios=tuple(scenarios(40, 0)))
 
@@ -43,6 +51,7 @@ def campaign(
     for one in PLAN.scenarios:
         made = {name: outcome(name, one.needed_n, *constants) for name in BASELINES}
         made[BOUND] = outcome(BOUND, one.needed_n, 1.02, 0.2)
+        made[REACTIVE] = outcome(REACTIVE, one.needed_n, 1.3, 0.4)
         made["slipguard"] = outcome("slipguard", one.needed_n, *ours, firm_tightened if one.firm else 1)
         results.append(ScenarioResult(one, made))
     return GripCampaignResult(PLAN, tuple(results))
@@ -75,6 +84,18 @@ def test_lifts_that_no_actuator_can_answer_are_stated_apart() -> None:
     assert beyond["slip_over_bound_median_deg"] == pytest.approx(-19.0)
 
 
+def test_the_slip_is_stated_against_the_bound_that_reacts_to_what_the_cameras_see() -> None:
+    found = campaign()
+    weak = [one for one in found.results if one.scenario.weak]
+    weak[0].outcomes[REACTIVE] = replace(weak[0].outcomes[REACTIVE], slip_deg=8.0)
+    weak[0].outcomes["slipguard"] = replace(weak[0].slipguard, slip_deg=9.0)
+    bound = as_json(found)["physical_bound"]
+    assert isinstance(bound, dict)
+    assert (bound["weak"], bound["avoidable"]) == (len(weak), len(weak) - 1)
+    assert bound["slip_over_reactive_p95_deg"] == pytest.approx(0.6, abs=0.1)
+    assert bound["controllers"][0]["slip_worst_deg"] == 1.0  # the others
+
+
 def test_a_drop_that_the_bound_would_not_have_is_counted() -> None:
     found = campaign()
     first = found.results[0]
@@ -100,7 +121,7 @@ def test_tables_and_plot_show_every_baseline(tmp_path: Path) -> None:
     console = Console(width=80, record=True, file=io.StringIO())
     print_tables(console, campaign())
     text = console.export_text()
-    for name in ("slipguard", *BASELINES, BOUND, *REACTING):
+    for name in ("slipguard", *BASELINES, BOUND, REACTIVE, *REACTING):
         assert name in text
     assert "…" not in text
     draw(campaign(), tmp_path / "grip.png")

@@ -53,6 +53,21 @@ def test_the_bound_uses_no_more_force_than_needed() -> None:
     assert bound.slip_deg < run_lift(one, "fixed step").slip_deg
 
 
+def test_the_reactive_bound_acts_when_the_cameras_have_seen_the_object_move() -> None:
+    """No earlier than one camera latency after the first motion, with the needed force: less slip than slipguard."""
+    one = weak("support gone")
+    bound, clairvoyant = run_lift(one, "reactive"), run_lift(one, "clairvoyant")
+    assert bound.tightenings == clairvoyant.tightenings == 1
+    assert clairvoyant.slip_deg < bound.slip_deg <= run_lift(one, "slipguard").slip_deg
+    slower = replace(one.pose.left, latency_s=one.pose.left.latency_s + 0.05)
+    assert run_lift(replace(one, pose=replace(one.pose, left=slower)), "reactive").slip_deg > bound.slip_deg + 0.5
+
+
+def test_the_reactive_bound_leaves_a_firm_grip_alone() -> None:
+    one = next(one for one in SCENARIOS if one.firm and one.event == "lift")
+    assert run_lift(one, "reactive").tightenings == 0
+
+
 def test_baselines_tighten_after_slip() -> None:
     one = weak("contact")
     steps = run_lift(one, "proportional steps")
