@@ -89,7 +89,7 @@ def make_reference(
     return Reference(image, axes, patch, texture, contour, patch.center_px, ShiftMeter(template, patch))
 
 
-class ReferenceChoice:
+class ReferenceSelector:
     """Decides when a contact becomes the reference, and carries the rotation over when one replaces another.
 
     Args:

@@ -15,7 +15,7 @@ from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotati
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
 from slipguard.perception.rotation.fusion import RotationEstimate, fuse_rotation, is_certain, needs_contour
-from slipguard.perception.rotation.reference import Reference, ReferenceChoice, RotationMeasurement, make_reference
+from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
@@ -76,7 +76,7 @@ class RotationMeter:
         self._tracker = RotationTracker() if tracker is None else tracker
         self._template: ContourTemplate | None = None
         self._pose = ContourPose()
-        self._choice = ReferenceChoice(settings.reference == "first")
+        self._choice = ReferenceSelector(settings.reference == "first")
         self._whole_fit: TextureFit | None = None
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
