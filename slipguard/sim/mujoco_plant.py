@@ -2,8 +2,8 @@
 
 Two fingers press two soft pads on a free body that lies on a table. Each pad gives way on springs in torsion and in
 both directions of shear, and touches with MuJoCo's elliptic cone, which is the ellipsoid limit surface: its torsional
-coefficient is a length and is set to the friction torque per newton of a pad of the present size. Gravity contains the
-acceleration of the fingers, so the fingers stand still and the table sinks.
+coefficient is a length and is set to the friction torque per newton of a pad of the present size. The pads' viscous
+friction is added to it. Gravity contains the acceleration of the fingers, so they stand still and the table sinks.
 
 MuJoCo needs the elliptic cone, condim 4 and noslip iterations: without them a held object creeps.
 """
@@ -21,7 +21,7 @@ from slipguard.limit_surface import GRAVITY_M_S2, NO_CONTACT_N, pressure_shape
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, table_reaction_n
 
-SUBSTEPS = 2
+SUBSTEPS = 4
 TABLE_M = 0.022
 """Height of the grasp axis above the table."""
 GONE_M = 5.0
@@ -89,8 +89,10 @@ class MujocoPlant:
         data.ctrl[:] = load.force_n if load.force_n > NO_CONTACT_N else -1.0
         self._press(body, gel, load.force_n)
         theta = body.lever_rad + motion.rotation_rad
-        data.xfrc_applied[self._object, 2] = -load.push_n
-        data.xfrc_applied[self._object, 4] = load.push_n_m - load.push_n * body.lever_m * math.cos(theta)
+        drag_x, drag_z, drag_torque = self._drag(body, gel, load.force_n, step_s)
+        data.xfrc_applied[self._object, 0] = drag_x
+        data.xfrc_applied[self._object, 2] = drag_z - load.push_n
+        data.xfrc_applied[self._object, 4] = drag_torque + load.push_n_m - load.push_n * body.lever_m * math.cos(theta)
         self._creep(gel, step_s)
         self._mujoco.mj_step(model, data, SUBSTEPS)
         self._last = self._motion(body, load)
@@ -164,19 +166,35 @@ class MujocoPlant:
         self._crept += min(step_s / gel.creep_s, 1.0) * (gel.creep * stretch - self._crept)
         self._model.qpos_spring[self._positions] = self._set + self._crept
 
+    def _drag(self, body: GraspedBody, gel: SoftPad, force_n: float, step_s: float) -> tuple[float, float, float]:
+        """Return the pads' viscous friction on a slipping object: forces to the side and up, and torque.
+
+        MuJoCo's friction is dry. Implicit in the speed, for the drag of a step may exceed a light object's momentum.
+        """
+        x_m_s, z_m_s, rate = self._slip_speeds()
+        touch = body.n_fingers * min(force_n, 1.0)
+        shear, torsion = touch * gel.viscous_n_s_m, touch * gel.viscous_n_m_s
+        linear = shear / (1.0 + step_s * shear / body.mass_kg)
+        return -linear * x_m_s, -linear * z_m_s, -torsion / (1.0 + step_s * torsion / body.inertia_kg_m2) * rate
+
+    def _slip_speeds(self) -> tuple[float, float, float]:
+        """Return the object's speed relative to the pads: to the side, up, and rotation rate."""
+        speed, data = self._free_speed, self._data
+        vx_m_s, _, vz_m_s, _, rate, _ = (float(v) for v in data.qvel[speed : speed + 6])
+        pad_rate, pad_vx, pad_vz = (float(v) for v in data.qvel[self._speeds].reshape(2, 3).mean(axis=0))
+        return vx_m_s - pad_vx, vz_m_s - pad_vz, rate - pad_rate
+
     def _motion(self, body: GraspedBody, load: ExternalLoad) -> ObjectMotion:
         data, free, speed = self._data, self._free, self._free_speed
         x_m, _, z_m, w, _, qy, _ = (float(v) for v in data.qpos[free : free + 7])
-        vx_m_s, _, vz_m_s, _, rate, _ = (float(v) for v in data.qvel[speed : speed + 6])
-        pads, pad_speeds = data.qpos[self._positions].reshape(2, 3), data.qvel[self._speeds].reshape(2, 3)
-        twist, _, pad_z = (float(v) for v in pads.mean(axis=0))
-        pad_rate, pad_vx, pad_vz = (float(v) for v in pad_speeds.mean(axis=0))
+        _, _, vz_m_s, _, rate, _ = (float(v) for v in data.qvel[speed : speed + 6])
+        twist, _, pad_z = (float(v) for v in data.qpos[self._positions].reshape(2, 3).mean(axis=0))
+        slip_x, slip_z, slip_rate = self._slip_speeds()
         rotation = 2.0 * math.atan2(qy, w)
         moved = ObjectMotion(rotation_rad=rotation, rate_rad_s=rate, slip_m=-z_m, slip_m_s=-vz_m_s)
         stretch = self._stiffness * (data.qpos[self._positions] - self._set - self._crept)
         torques, _, shears = (float(v) for v in stretch.reshape(2, 3).sum(axis=0))
         weight_n = body.mass_kg * (GRAVITY_M_S2 + load.acceleration_m_s2) + load.push_n
-        slides_m_s = math.hypot(vx_m_s - pad_vx, vz_m_s - pad_vz)
         return ObjectMotion(
             rotation_rad=rotation,
             rate_rad_s=rate,
@@ -188,7 +206,7 @@ class MujocoPlant:
             shear_n=-shears,
             load_n=weight_n - self._table_n(),
             on_table=table_reaction_n(moved, body, load)[2],
-            slipping=abs(rate - pad_rate) > SLIPS_RAD_S or slides_m_s > SLIPS_M_S,
+            slipping=abs(slip_rate) > SLIPS_RAD_S or math.hypot(slip_x, slip_z) > SLIPS_M_S,
             side_m=x_m,
         )
 

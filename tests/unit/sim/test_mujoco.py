@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from slipguard.limit_surface import GRAVITY_M_S2, pressure_shape
 from slipguard.sim.friction import SoftPad, needed_force_n
+from slipguard.sim.mujoco_plant import MujocoPlant
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, advance
 from slipguard.sim.sim_object import SimObject
 
@@ -90,3 +92,26 @@ def test_it_rotates_as_far_as_in_mujoco_itself(
 
     seconds = 0.3 if first != then else 0.2
     assert in_ours(item, force, seconds) == pytest.approx(in_mujoco(mujoco, item, force, seconds), abs=0.5)
+
+
+@pytest.mark.extras("mujoco")
+@pytest.mark.parametrize(("mass_kg", "lever_mm", "slip"), [(0.5, 0.0, "mm"), (1.0, 10.0, "deg"), (0.5, 60.0, "deg")])
+@pytest.mark.parametrize("share", [0.7, 0.9])
+def test_the_viscous_friction_of_the_pads_slows_a_slip_in_both_plants(
+    mass_kg: float, lever_mm: float, slip: str, share: float
+) -> None:
+    """Without it, half a kilogram slides 11 mm on MuJoCo's pads while it slides 4 mm on ours."""
+    pad = SoftPad(torsion_n_m_rad=0.3, stiffening=3.0, relaxation_s=0.02, viscous_n_m_s=0.01)
+    item = replace(bar(mass_kg, lever_mm, 0.5), inertia_kg_m2=1e-4 + mass_kg * (1e-3 * lever_mm) ** 2 / 3.0)
+    force_n, slips = share * needed_force_n(item, pad), []
+    for plant in (advance, MujocoPlant()):
+        motion, body = ObjectMotion(), GraspedBody.of(item)
+        for _ in range(500):
+            motion = plant(motion, body, pad, ExternalLoad(force_n, rise_m=0.0), 2e-3)
+        for _ in range(60):
+            motion = plant(motion, body, pad, ExternalLoad(force_n), 2e-3)
+        slipped = (
+            math.degrees(motion.rotation_rad - motion.twist_rad) if slip == "deg" else motion.slip_m - motion.shear_m
+        )
+        slips.append(slipped if slip == "deg" else 1e3 * slipped)
+    assert slips[1] == pytest.approx(slips[0], rel=0.2, abs=0.6)
