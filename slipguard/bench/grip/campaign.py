@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
+from slipguard.bench.grip.added_mass import AddedMass, added_mass_scenarios, run_added_mass
 from slipguard.bench.grip.lift_run import CONSTANTS, GripOutcome, PlantName, constant_n, run_lift
 from slipguard.bench.grip.scenarios import FIRST_TEST_SEED, GripScenario, scenarios
 from slipguard.tools.parallel import Workers, each
@@ -13,6 +14,8 @@ from slipguard.tools.parallel import Workers, each
 QUICK_SCENARIOS, FULL_SCENARIOS = 48, 180
 QUICK_RENDERED, FULL_RENDERED = 4, 40
 """Scenarios that also run with rendered frames and the shipped pipeline."""
+QUICK_ADDED, FULL_ADDED = 24, 120
+"""Scenarios in which mass is added on the grip axis."""
 QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
 """Duration of the hold after the lift of a firm grasp."""
 BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), "proportional steps", "fixed step")
@@ -35,13 +38,14 @@ class CampaignPlan:
     hold_s: float
     seed: int
     plant: PlantName
+    added: int
 
     @classmethod
     def of(cls, *, quick: bool, seed: int = 0, plant: PlantName = "own") -> CampaignPlan:
         """Return the quick plan or the full one. Equal seeds give equal scenarios on both plants."""
         if quick:
-            return cls(tuple(scenarios(QUICK_SCENARIOS, seed)), QUICK_RENDERED, QUICK_HOLD_S, seed, plant)
-        return cls(tuple(scenarios(FULL_SCENARIOS, seed)), FULL_RENDERED, FULL_HOLD_S, seed, plant)
+            return cls(tuple(scenarios(QUICK_SCENARIOS, seed)), QUICK_RENDERED, QUICK_HOLD_S, seed, plant, QUICK_ADDED)
+        return cls(tuple(scenarios(FULL_SCENARIOS, seed)), FULL_RENDERED, FULL_HOLD_S, seed, plant, FULL_ADDED)
 
     @property
     def seed_set(self) -> str:
@@ -87,6 +91,7 @@ class GripCampaignResult:
 
     plan: CampaignPlan
     results: tuple[ScenarioResult, ...]
+    added_mass: tuple[AddedMass, ...] = ()
 
     @property
     def weak(self) -> list[ScenarioResult]:
@@ -116,9 +121,18 @@ def run(
     drawn = {one.number for one in plan.scenarios[::every]} if plan.rendered else set()
     work = partial(run_scenario, plant=plan.plant, hold_s=plan.hold_s)
     items = sorted(((one, one.number in drawn) for one in plan.scenarios), key=lambda item: not item[1])
-    count = len(items)
+    slides = added_mass_scenarios(plan.added, plan.seed)
+    count = len(items) + len(slides)
     results = each(work, items, workers, named=lambda item: item[0].name, progress=lambda done: progress(done / count))
-    return GripCampaignResult(plan, tuple(sorted(results, key=lambda one: one.scenario.number)))
+    found = tuple(sorted(results, key=lambda one: one.scenario.number))
+    added = each(
+        partial(run_added_mass, plant=plan.plant),
+        slides,
+        workers,
+        named=lambda item: f"added mass {item[1].seed}/{item[1].number}",
+        progress=lambda done: progress((len(items) + done) / count),
+    )
+    return GripCampaignResult(plan, found, tuple(added))
 
 
 def run_scenario(item: tuple[GripScenario, bool], plant: PlantName, hold_s: float) -> ScenarioResult:

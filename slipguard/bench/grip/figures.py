@@ -113,17 +113,25 @@ def groups(found: GripCampaignResult) -> dict[str, list[ScenarioResult]]:
 
 @dataclass(frozen=True, slots=True)
 class FirmRow:
-    """False tightenings of one controller on firm grasps. lifting: lifts that were tightened; held: forces later."""
+    """False tightenings of one controller on firm grasps.
+
+    lifting: lifts that were tightened; held: forces later; holds: how many holds they belong to.
+    """
 
     controller: str
     count: int
     lifting: int
     held: int
+    holds: int
     force_median: float
 
     @property
     def tightened_share(self) -> float:
         return self.lifting / self.count
+
+    @property
+    def tightened_while_held_share(self) -> float:
+        return self.holds / self.count
 
 
 def firm_rows(firm: Sequence[ScenarioResult], names: Iterable[str]) -> list[FirmRow]:
@@ -136,6 +144,7 @@ def firm_rows(firm: Sequence[ScenarioResult], names: Iterable[str]) -> list[Firm
             len(firm),
             sum(one.outcomes[name].tightenings > 0 for one in firm),
             sum(one.outcomes[name].held for one in firm),
+            sum(one.outcomes[name].held > 0 for one in firm),
             float(np.median([one.outcomes[name].force_n / one.scenario.grip_n for one in firm])),
         )
         for name in names

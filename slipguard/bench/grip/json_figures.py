@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slipguard.bench.grip import figures
+from slipguard.bench.grip.added_mass import added_mass_figures, lost_share
 from slipguard.bench.grip.campaign import REACTING, REACTIVE, GripCampaignResult, ScenarioResult
 from slipguard.bench.grip.lift_run import GripOutcome
 from slipguard.bench.grip.scenarios import PADS
@@ -33,6 +34,8 @@ def as_json(found: GripCampaignResult) -> dict[str, object]:
         "weak": len(weak),
         "beyond_actuator": _beyond(found.beyond_actuator),
         "physical_bound": _physical_bound(found),
+        "added_mass": added_mass_figures(found.added_mass),
+        "added_mass_lost_share": _rounded(lost_share(found.added_mass)),
         "rendered": sum(one.rendered is not None for one in found.results),
         "drops_avoidable": figures.drops_beyond_bound(found.results),
         "drops_beyond_bound": figures.drops_beyond_bound(found.results),
@@ -40,7 +43,9 @@ def as_json(found: GripCampaignResult) -> dict[str, object]:
         **{name: slipguard.get(name) for name in ("force_over_needed_p95", "slip_p95_deg", "slip_worst_deg")},
         **{name: slipguard.get(name) for name in ("slide_p95_mm", "slide_worst_mm")},
         "dominated_by": figures.dominated_by(rows),
+        "firm": len(found.firm),
         "firm_tightened_share": _rounded(None if ours is None else ours.tightened_share),
+        "firm_tightened_while_held_share": _rounded(None if ours is None else ours.tightened_while_held_share),
         "false_tightenings": 0 if ours is None else ours.lifting + ours.held,
         "turn_over_oracle_median": everything["turn_over_oracle_median"],
         "turn_over_oracle_p95": _rounded(figures.quantile(figures.ratios(weak, "slipguard", "clairvoyant"), 0.95)),
@@ -179,6 +184,7 @@ LIMITS = (
     FigureLimit("slip_worst_deg", "final slip in degrees, worst", 6.0),
     FigureLimit("drops_beyond_bound", "drops that the clairvoyant bound would not have", 0),
     FigureLimit("firm_tightened_share", "share of firm grasps tightened during the lift", 0.05),
+    FigureLimit("added_mass_lost_share", "share of added masses dropped without need", 0.05),
     FigureLimit("false_while_holding", "tightenings of firm grasps while held", 0),
     FigureLimit("dominated_by", "baselines that are better in slip and force", 0),
     FigureLimit("ended_without_need", "avoidable stops", 0),

@@ -71,6 +71,7 @@ class GripOutcome:
             `DROPPED_DEG` and `DROPPED_MM`.
         force_n: Largest true force.
         arrested_s: Time from the first slip to the last; None without slip.
+        answered_s: Time from the first slip to the next command or fault; None without either.
         tightenings: Forces commanded from lift-off until rest; held: those of the hold afterwards.
         early: Whether it tightened before any slip.
         up: Whether the lift reached its height.
@@ -88,6 +89,7 @@ class GripOutcome:
     dropped: str | None
     fault: str | None
     up: bool
+    answered_s: float | None = None
     messages: tuple[str, ...] = ()
 
     @property
@@ -340,6 +342,10 @@ class _Run:
         moved = times[(slips > SLIPPED_DEG) & (slips < final - SLIPPED_DEG)]
         arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
         commanded_s = [at_s for at_s, output in loop.outputs if output.hold_force_n is not None]
+        answers_s = [
+            at_s for at_s, output in loop.outputs if output.hold_force_n is not None or output.fault is not None
+        ]
+        answers_s = [at_s - first_slip_s for at_s in answers_s if first_slip_s is not None and at_s >= first_slip_s]
         tightened_s = [at_s for at_s in commanded_s if at_s >= self._begun_s]
         grasp = loop.controller.state.grasp if isinstance(loop.controller, SlipguardController) else None
         lost = truth.dropped is not None
@@ -356,5 +362,6 @@ class _Run:
             dropped=truth.dropped,
             fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
             up=scenario.event == "support gone" or truth.height_mm >= LIFT_MM - REACHED_MM or self._held_s < math.inf,
+            answered_s=min(answers_s, default=None),
             messages=tuple(loop.messages),
         )

@@ -9,9 +9,14 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.bench.grip import figures
+from slipguard.bench.grip.added_mass import added_mass_figures
 from slipguard.bench.grip.campaign import BOUND, REACTING, REACTIVE, GripCampaignResult
 from slipguard.bench.grip.json_figures import as_json, checks
 
+ADDED_HEADS = ("", "n", "bound holds", "held", "slide p95", "of bound", "answer p95", "over bound")
+ADDED_KEYS = (
+    "scenarios", "bound_holds", "held", "slide_p95_mm", "bound_slide_p95_mm", "answer_s_p95", "answer_over_bound_s_p95",
+)  # fmt: skip
 HEADS = ("", "n", "slip", "p95", "max", "slide", "max", "drops", "force", "p95")
 
 
@@ -46,6 +51,11 @@ def print_tables(console: Console, found: GripCampaignResult) -> None:
     hold = f"{found.plan.hold_s:g} s of taps, shaking and arm motions"
     title = f"false tightenings of firm grasps: during the lift, then while held through {hold}"
     console.print(_table(title, heads, cells))
+    rows_added = [
+        (kind, *("–" if one[key] is None else f"{one[key]:g}" for key in ADDED_KEYS))
+        for kind, one in added_mass_figures(found.added_mass).items()
+    ]
+    console.print(_table("0.6 kg added on the grip axis: mm, and seconds from the first slip", ADDED_HEADS, rows_added))
     found_json = as_json(found)
     limits = [
         (one.limit.title, f"≤ {one.limit.at_most:g}", "–" if one.value is None else f"{one.value:.3g}",

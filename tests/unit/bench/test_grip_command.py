@@ -19,6 +19,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "QUICK_SCENARIOS", 3)
     monkeypatch.setattr(campaign, "QUICK_RENDERED", 1)
     monkeypatch.setattr(campaign, "QUICK_HOLD_S", 0.5)
+    monkeypatch.setattr(campaign, "QUICK_ADDED", 2)
 
 
 @pytest.mark.campaign
@@ -31,6 +32,7 @@ def test_the_command_writes_json_and_plot(
     found = json.loads(printed.out)
     assert (found["scenarios"], found["rendered"], found["seed_set"]) == (3, 1, "test")
     assert [check["key"] for check in found["promised"]] == [limit.key for limit in json_figures.LIMITS]
+    assert [one["scenarios"] for one in found["added_mass"].values()] == [1, 1]
     assert "test seed 1000" in printed.err
     kept = json.loads((tmp_path / "grip.json").read_text())
     assert {key: kept[key] for key in found} == found

@@ -35,6 +35,7 @@ OLD_KEYS = {
 NEW_KEYS = {
     "plant", "seed_set", "force_over_needed_p95", "slip_p95_deg", "slip_worst_deg", "drops_beyond_bound",
     "firm_tightened_share", "dominated_by", "physical_bound",
+    "added_mass", "firm", "firm_tightened_while_held_share",
 }  # fmt: skip
 PLAN = replace(CampaignPlan.of(quick=True), scenarios=tuple(scenarios(40, 0)))
 
@@ -94,6 +95,15 @@ def test_the_slip_is_stated_against_the_bound_that_reacts_to_what_the_cameras_se
     assert (bound["weak"], bound["avoidable"]) == (len(weak), len(weak) - 1)
     assert bound["slip_over_reactive_p95_deg"] == pytest.approx(0.6, abs=0.1)
     assert bound["controllers"][0]["slip_worst_deg"] == 1.0  # the others
+
+
+def test_a_firm_grasp_that_is_tightened_while_held_is_counted_once() -> None:
+    found = campaign()
+    one = found.firm[0]
+    one.outcomes["slipguard"] = replace(one.slipguard, held=3)
+    figures_json = as_json(found)
+    assert figures_json["firm"] == len(found.firm)
+    assert figures_json["firm_tightened_while_held_share"] == pytest.approx(1.0 / len(found.firm), abs=1e-3)
 
 
 def test_a_drop_that_the_bound_would_not_have_is_counted() -> None:
