@@ -179,18 +179,19 @@ class Pipeline:
         if self._changes is not None and self._changes.restored:
             self._measured = None
         repeated = self._repeat(frame) if unchanged else None
-        if repeated is None:
-            self._refuse_torn(image, frame)
         timer.mark("gate")
         if repeated is not None:
             self._torn.note_good(image, now_s)
             return replace(repeated, stage_ms=timer.stage_ms)
 
         by_texture = self._measure_texture(image, blocks, frame, timer)
-        if by_texture is not None:
+        if by_texture is not None:  # even in a torn frame: a texture that has moved as a whole is in between its parts
+            self._torn.note_good(image, now_s)
             self._note_measured(blocks, self._whole.near if self._whole is not None else None, unchanged, by_texture)
             return by_texture
 
+        self._refuse_torn(image, frame)
+        timer.mark("gate")
         self._whole = None
         probability = self._segmenter.segment(image, self._background)
         timer.mark("segment")
