@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
@@ -49,11 +48,11 @@ class GelContour:
 
     Args:
         texture_map: The reference's texture map.
-        slopes: The gel's slopes in the same window, (h, w, 2) float32, gray levels.
+        slopes: The gel's slopes to the right and upwards in the same window, (h, w) float32 each, gray levels.
         patch: The reference's contact.
     """
 
-    def __init__(self, texture_map: TextureMap, slopes: Field, patch: Patch) -> None:
+    def __init__(self, texture_map: TextureMap, slopes: tuple[Field, Field], patch: Patch) -> None:
         self._shape = _Ellipse(patch)
         curved, steep = _strength(texture_map, slopes, patch)
         sharp = 0.5 * self._shape.width_px / REDUCTION * curved / max(steep, 1e-3)
@@ -102,10 +101,10 @@ class _Ellipse:
         self.off_axes_deg = min(from_right_deg, 90.0 - from_right_deg)
 
 
-def _strength(texture_map: TextureMap, slopes: NDArray[np.float32], patch: Patch) -> tuple[float, float]:
+def _strength(texture_map: TextureMap, slopes: tuple[Field, Field], patch: Patch) -> tuple[float, float]:
     """Return the largest curvature and slope of the gel in and around a patch: gray levels per pixel, gray levels."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SKIRT_PX + 1, 2 * SKIRT_PX + 1))
     near = cv2.dilate(mask_in_window(patch, texture_map.window), disc) > 0
     curved = float(np.percentile(np.abs(texture_map.curvature[near]), CURVED_PERCENTILE))
     curved = math.sqrt(max(curved**2 - (NOISE_FACTOR * texture_map.noise) ** 2, 0.0))
-    return curved, float(np.percentile(np.hypot(slopes[..., 0], slopes[..., 1])[near], STEEP_PERCENTILE))
+    return curved, float(np.percentile(np.hypot(*slopes)[near], STEEP_PERCENTILE))

@@ -82,6 +82,7 @@ class TextureMapReader:
         self, background: NDArray[np.uint8], noise_bgr: Sequence[float] | NDArray[np.floating] | None = None
     ) -> None:
         self._background: NDArray[np.uint8] = _half_size(background)
+        self._background_planes = _planes(self._background)
         self._noise_bgr = np.zeros(3) if noise_bgr is None else np.asarray(noise_bgr, np.float64)
         self._set_colors(_to_slopes(0.0, mirrored=False))
 
@@ -116,23 +117,23 @@ class TextureMapReader:
 
     def read(self, image: NDArray[np.uint8], patch: Patch) -> TextureMap:
         """Return the texture map in and around a patch. image: (320, 240, 3) uint8 BGR."""
-        slopes = self.slopes(image, patch)
-        right, up = cv2.split(slopes)
-        curvature = _dx(np.asarray(right, np.float32)) + _dy(np.asarray(up, np.float32))
-        return TextureMap(ImageWindow.around(patch), curvature, self._noise)
+        right, up = self.slopes(image, patch)
+        return TextureMap(ImageWindow.around(patch), _dx(right) + _dy(up), self._noise)
 
-    def slopes(self, image: NDArray[np.uint8], patch: Patch) -> Field:
-        """Return the gel's slopes to the right and upwards in and around a patch: (h, w, 2) float32, gray levels."""
+    def slopes(self, image: NDArray[np.uint8], patch: Patch) -> tuple[Field, Field]:
+        """Return the gel's slopes to the right and upwards in and around a patch: (h, w) float32 each, gray levels."""
         window = ImageWindow.around(patch)
-        colors = cv2.transform(self._difference(image, window), self._colors)
-        return np.asarray(cv2.GaussianBlur(colors, (0, 0), BLUR_PX), np.float32)
+        left, top, right, bottom = window.left_px, window.top_px, window.right_px, window.bottom_px
+        # One plane per color: this way the product takes a sixth of the time of cv2.transform.
+        colors = _planes(_cropped(image, window)) - self._background_planes[:, top:bottom, left:right]
+        slopes = (self._colors @ colors.reshape(3, -1)).reshape(2, bottom - top, right - left)
+        x, y = (np.asarray(cv2.GaussianBlur(one, (0, 0), BLUR_PX), np.float32) for one in slopes)
+        return x, y
 
     def _difference(self, image: NDArray[np.uint8], window: ImageWindow) -> Field:
         """Return frame minus background image in a window, (h, w, 3) float32 gray levels."""
-        left, top, right, bottom = window.left_px, window.top_px, window.right_px, window.bottom_px
-        crop = image[REDUCTION * top : REDUCTION * bottom, REDUCTION * left : REDUCTION * right]
-        now = cv2.resize(crop, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.subtract(now, self._background[top:bottom, left:right], dtype=cv2.CV_32F), np.float32)
+        background = self._background[window.top_px : window.bottom_px, window.left_px : window.right_px]
+        return np.asarray(cv2.subtract(_cropped(image, window), background, dtype=cv2.CV_32F), np.float32)
 
 
 def _without_curl(steep: NDArray[np.float64], nominal: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -179,6 +180,18 @@ def _dx(field: Field) -> Field:
 def _dy(field: Field) -> Field:
     """Return the derivative upwards."""
     return np.asarray(cv2.Sobel(field, cv2.CV_32F, 0, 1, scale=-0.125), np.float32)
+
+
+def _cropped(image: NDArray[np.uint8], window: ImageWindow) -> NDArray[np.uint8]:
+    """Return a window of a frame at the resolution of the texture map, (h, w, 3) uint8."""
+    left, top, right, bottom = window.left_px, window.top_px, window.right_px, window.bottom_px
+    crop = image[REDUCTION * top : REDUCTION * bottom, REDUCTION * left : REDUCTION * right]
+    return np.asarray(cv2.resize(crop, (right - left, bottom - top), interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _planes(image: NDArray[np.uint8]) -> Field:
+    """Return the colors of an image, (h, w, 3) uint8, as (3, h, w) float32."""
+    return np.stack(cv2.split(image)).astype(np.float32)
 
 
 def _half_size(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -151,8 +151,8 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
         weight /= 1.0 + square * np.float32(1.0 / (ROBUST**2 * noise2))
         weighted = motion.T * weight
         gains = np.array([gain, gain, gain, gain, 1.0])
-        normal = (weighted @ motion).astype(np.float64) * np.outer(gains, gains)
-        gradient = (weighted @ difference).astype(np.float64) * gains
+        normal = (weighted @ motion) * (gains[:, None] * gains)
+        gradient = (weighted @ difference) * gains
         prior = _CORRELATED * noise2 / _PRIOR_STD**2
         c, s = math.cos(rotation), math.sin(rotation)
         away_x, away_y = dx - start.dx_px, dy - start.dy_px
@@ -160,7 +160,8 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
         gradient[2] += prior[2] * (s * away_x + c * away_y)
         gradient[3] -= prior[3] * (scale - 1.0)
         gradient[4] -= prior[4] * (gain - 1.0)
-        regularized = normal + np.diag(prior + 1e-7 * np.trace(normal))
+        regularized = normal.copy()
+        regularized.flat[::6] += prior + 1e-7 * normal.trace()
         step = np.linalg.solve(regularized, gradient)
         rotation_step = min(max(float(step[0]), -0.2), 0.2)
         move_x, move_y = float(step[1]), float(step[2])
