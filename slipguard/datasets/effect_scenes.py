@@ -1,7 +1,7 @@
 """Rendered grasps with one effect each: none, a tilted object, gel memory, partial slip, periodic texture.
 
 Like `rendered_grasps`, but the imprint does what a rigid one in the image plane does not. The truth is the object's
-rotation in the image plane, and its shift.
+rotation in the image plane, and the shift of its point at the image center.
 """
 
 from __future__ import annotations
@@ -103,7 +103,9 @@ def render_effect(effect: EffectName, case: str, seed: int, level: float | None 
     def add(view: GelView, pose: _Pose, *, compared: bool) -> None:
         image = camera.draw(view, raster=raster)
         frame = Frame(image, len(shots) * FRAME_S, len(shots))
-        shots.append(GraspFrame(frame, view.depth_mm > 0.0, pose.rotation_deg, compared, None, pose.shift_mm))
+        moved = replace(view, angle_deg=still.angle_deg + pose.rotation_deg)  # the object, not its imprint
+        shift_mm = moved.center_shift_mm(still)
+        shots.append(GraspFrame(frame, view.depth_mm > 0.0, pose.rotation_deg, compared, None, shift_mm))
 
     at_rest = _Pose()
     for _ in range(EMPTY_FRAMES):

@@ -52,7 +52,7 @@ class GraspFrame:
         rotation_deg: since the object was held still.
         compared: whether it counts for the rotation error (after the reference, in contact).
         mask: (320, 240) uint8, the contact label; None if not requested.
-        shift_mm: shift of the object since then, right and up; None where it is not compared.
+        shift_mm: shift since then of the object's point at the image center, right and up; None where not compared.
     """
 
     frame: Frame

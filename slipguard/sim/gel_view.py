@@ -6,6 +6,7 @@ exposure from it, however late the image arrives.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -37,6 +38,13 @@ class GelView:
     vy_mm_s: float = 0.0
     rate_deg_s: float = 0.0
     effects: GelEffects | None = None
+
+    def center_shift_mm(self, since: GelView) -> tuple[float, float]:
+        """Return how far the object's point at the image center has moved since another view, right and up."""
+        rotation = math.radians(self.angle_deg - since.angle_deg)
+        c, s = math.cos(rotation), math.sin(rotation)
+        x, y = since.x_mm, since.y_mm
+        return self.x_mm - c * x + s * y, self.y_mm - s * x - c * y
 
 
 _ENCODED_FIELDS = tuple(field.name for field in fields(GelView) if field.name not in ("object_name", "effects"))

@@ -59,7 +59,7 @@ def measure(object_name: str, seed: int) -> list[MeasuredFrame]:
             continue
         start = start or view
         rotation_deg, shift_mm = estimate.rotation_deg, estimate.shift_mm
-        moved_mm = (view.x_mm - start.x_mm, view.y_mm - start.y_mm)
+        moved_mm = view.center_shift_mm(start)
         frames.append(
             MeasuredFrame(
                 part,

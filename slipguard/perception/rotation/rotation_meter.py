@@ -17,7 +17,6 @@ from slipguard.perception.rotation.contour_template import ContourTemplate, make
 from slipguard.perception.rotation.fusion import RotationEstimate, fuse_rotation, is_certain, needs_contour
 from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
-from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_registration import TextureFit
 from slipguard.perception.rotation.texture_tracker import TrackedTexture
@@ -150,8 +149,9 @@ class RotationMeter:
         center_shift_px = (center_px[0] - reference.center_px[0], center_px[1] - reference.center_px[1])
 
         if name not in ("fused", "registration"):
-            rotation = fuse_rotation(None, None, axis)
-            return RotationMeasurement(self._accept(now_s, rotation, patch), ShiftMeasurement(center_shift_px), axes)
+            rotation = self._accept(now_s, fuse_rotation(None, None, axis), patch)
+            shift = reference.shift.measure(now_s, patch, None, center_shift_px, self._tracker.last_deg)
+            return RotationMeasurement(rotation, shift, axes)
 
         (tried_at_s, texture_map, found), self._tried = self._tried, (-math.inf, None, None)
         if tried_at_s != now_s or found is None or found.rotation.rotation_deg is None:
@@ -174,8 +174,9 @@ class RotationMeter:
         remembers = remembers and texture is not None and texture.rotation_deg is not None
         if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
             rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
-            shift = reference.shift.measure(now_s, patch, found, center_shift_px)
-            return RotationMeasurement(self._accept(now_s, rotation, patch, by_texture=True), shift, axes)
+            rotation = self._accept(now_s, rotation, patch, by_texture=True)
+            shift = reference.shift.measure(now_s, patch, found, center_shift_px, self._tracker.last_deg)
+            return RotationMeasurement(rotation, shift, axes)
 
         certain = texture is not None and is_certain(texture)
         if not certain:
@@ -195,8 +196,9 @@ class RotationMeter:
             contour.axis.widened(uneven_deg) if name == "fused" else None,
             1.0 if found is None else found.deformation,
         )
-        shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
-        return RotationMeasurement(self._accept(now_s, rotation, patch), shift, axes)
+        rotation = self._accept(now_s, rotation, patch)
+        shift = reference.shift.measure(now_s, patch, found, contour.shift_px, self._tracker.last_deg)
+        return RotationMeasurement(rotation, shift, axes)
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
@@ -222,8 +224,8 @@ class RotationMeter:
             return None
         if found.smooth is not None or not _moved_as_a_whole(found.fit, before):
             return None
-        shift = reference.shift.follow(now_s, found)
-        return RotationMeasurement(self._accept(now_s, found.rotation, patch, by_texture=True), shift, {})
+        rotation = self._accept(now_s, found.rotation, patch, by_texture=True)
+        return RotationMeasurement(rotation, reference.shift.follow(now_s, found, self._tracker.last_deg), {})
 
     def take_reference(
         self,

@@ -49,6 +49,11 @@ class RotationTracker:
         return max(self._history[-1][0], self._kept_at_s) if self._history else -math.inf
 
     @property
+    def last_deg(self) -> float:
+        """The last known rotation; 0 before the reference."""
+        return self._last[1]
+
+    @property
     def unexpected_deg(self) -> float:
         """How far the last rotation was from the one that the two before it let expect: how fast the rate changes."""
         return self._unexpected_deg

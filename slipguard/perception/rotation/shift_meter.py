@@ -1,4 +1,7 @@
-"""Measures the shift of a contact since the reference, or why it is unknown.
+"""Measures the shift of the object at the grasp axis since the reference, or why it is unknown.
+
+The object rotates about the axis through both fingers, which passes through the middles of their images. A contact lies
+anywhere: while the object rotates, the contact's center moves although the object does not slide.
 
 Ribs and threads look the same after a shift by their period, and a frame is long enough for several periods: the shift
 is then declined, and only that the object slides is reported. Along a smooth shaft only its ends show a shift.
@@ -8,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.rotation.texture_map import REDUCTION
@@ -37,6 +41,7 @@ by this much while the frame cuts the contact. They count if they have moved by 
 shaft moves further in a frame than its texture is searched."""
 END_SHARE = 0.02
 """The end of a contact is where this share of it lies beyond."""
+GRASP_AXIS_PX = ((FRAME_WIDTH_PX - 1) / 2.0, (FRAME_HEIGHT_PX - 1) / 2.0)
 EDGE_PX = 3
 """A contact that comes this close to the edge of the frame is cut there, network pixels."""
 
@@ -46,7 +51,7 @@ Direction = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class ShiftMeasurement:
-    """Shift since the reference in frame pixels, right and down; None if it is unknown.
+    """Shift of the object at the grasp axis since the reference, frame pixels right and down; None if it is unknown.
 
     period_px: the shift is ambiguous by multiples of this. slides: the texture moves by an unknown number of periods.
     """
@@ -74,7 +79,12 @@ class ShiftMeter:
         return self._period[0]
 
     def measure(
-        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
+        self,
+        now_s: float,
+        patch: Patch,
+        found: TrackedTexture | None,
+        contour_px: tuple[float, float],
+        rotation_deg: float,
     ) -> ShiftMeasurement:
         """Return the shift at `now_s`.
 
@@ -83,7 +93,23 @@ class ShiftMeter:
             patch: The contact in it.
             found: Its texture; None if the reference has none.
             contour_px: Shift of the contour, frame pixels.
+            rotation_deg: The last known rotation since the reference.
         """
+        return self._at_axis(self._of_contact(now_s, patch, found, contour_px), rotation_deg)
+
+    def _at_axis(self, shift: ShiftMeasurement, rotation_deg: float) -> ShiftMeasurement:
+        """Return the shift at the grasp axis from that of the reference contact's center."""
+        if shift.shift_px is None:
+            return shift
+        (x, y), center_px = shift.shift_px, self._patch.center_px
+        to_axis = (GRASP_AXIS_PX[0] - center_px[0], GRASP_AXIS_PX[1] - center_px[1])
+        carried = rotated(to_axis, rotation_deg)
+        return replace(shift, shift_px=(x + carried[0] - to_axis[0], y + carried[1] - to_axis[1]))
+
+    def _of_contact(
+        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
+    ) -> ShiftMeasurement:
+        """Return the shift of the reference contact's center."""
         self._beyond_px = (0.0, 0.0)
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
@@ -103,13 +129,13 @@ class ShiftMeter:
         self._beyond_px = (offset_px * along[0], offset_px * along[1])
         return ShiftMeasurement((shift_px[0] + self._beyond_px[0], shift_px[1] + self._beyond_px[1]))
 
-    def follow(self, now_s: float, found: TrackedTexture) -> ShiftMeasurement:
+    def follow(self, now_s: float, found: TrackedTexture, rotation_deg: float) -> ShiftMeasurement:
         """Return the shift in a frame without a segmented contact; its ends are where they were in the texture."""
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
         x, y = found.shift_px or (0.0, 0.0)
-        return ShiftMeasurement((x + self._beyond_px[0], y + self._beyond_px[1]))
+        return self._at_axis(ShiftMeasurement((x + self._beyond_px[0], y + self._beyond_px[1])), rotation_deg)
 
     def _suspect_direction(self, patch: Patch, shift_px: tuple[float, float]) -> Direction | None:
         """Return the direction in which the ends are to be measured: the center has moved differently, or is cut."""

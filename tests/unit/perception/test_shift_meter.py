@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -127,9 +128,33 @@ def test_a_periodic_texture_slides_when_it_has_changed_beyond_recognition(declin
     meter = ShiftMeter(None, patch)
     meter._period = ((0.0, 8.0),)
     rest = TrackedTexture(RotationEstimate(0.0, 0.5), 1.0, (0.0, 0.0))
-    assert not meter.measure(1.0, patch, rest, (0.0, 0.0)).slides
+    assert not meter.measure(1.0, patch, rest, (0.0, 0.0), 0.0).slides
     gone = None if declined is None else TrackedTexture(RotationEstimate(None, None, declined), 1.0)
-    assert meter.measure(1.02, patch, gone, (0.0, 0.0)).slides is slides
+    assert meter.measure(1.02, patch, gone, (0.0, 0.0), 0.0).slides is slides
+
+
+def test_the_shift_is_that_of_the_grasp_axis_wherever_the_contact_lies() -> None:
+    patch = bar_patch(10, 40)  # 111 frame pixels above the image center
+    meter = ShiftMeter(None, patch)
+    assert meter.measure(1.0, patch, None, (0.0, 0.0), 0.0).shift_px == (0.0, 0.0)
+    up_px = 159.5 - patch.center_px[1]
+    moved = (-up_px * math.sin(math.radians(20.0)), up_px * (1.0 - math.cos(math.radians(20.0))))
+    shift = meter.measure(1.1, patch, None, (moved[0] + 3.0, moved[1] - 2.0), 20.0).shift_px
+    assert shift == pytest.approx((3.0, -2.0), abs=0.5)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("wedge", 9), ("screwdriver", 5)])
+def test_an_object_that_rotates_about_the_grasp_axis_does_not_slide(name: str, seed: int) -> None:
+    unit = random_unit(np.random.default_rng(seed))
+    camera = GelCamera(unit, seed=seed)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), camera.no_contact(), unit.noise_bgr, unit.px_per_mm)
+    depth_mm = 0.6 * bench_object(name)[0].press_mm
+    for k in range(REST_FRAMES + 20):
+        view = GelView(name, angle_deg=40.0 + max(k - REST_FRAMES, 0), depth_mm=depth_mm)
+        estimate = pipeline.process(Frame(camera.draw(view), k * FRAME_S, k))
+        if k > REST_FRAMES:
+            assert estimate.shift_mm == pytest.approx((0.0, 0.0), abs=0.3)
+    assert estimate.rotation_deg == pytest.approx(19.0, abs=1.0)
 
 
 def bar_patch(from_row: int, to_row: int) -> Patch:
