@@ -53,6 +53,7 @@ def fuse_rotation(
     contour: RotationEstimate | None,
     axis: RotationEstimate | None,
     deformation: float = 1.0,
+    common_deg: float = 0.0,
 ) -> RotationEstimate:
     """Return one rotation from up to three measurements of the same contact.
 
@@ -69,6 +70,7 @@ def fuse_rotation(
         contour: Rotation by the contour; None if it was not measured.
         axis: Rotation of the patch's axis; None if the estimator does not use it.
         deformation: Factor on the contour's sigma: 1, more if the contact has deformed since the reference.
+        common_deg: Part of the sigmas that all measurements share, so that their mean is no better.
     """
     shape = axis
     if contour is not None:
@@ -76,7 +78,8 @@ def fuse_rotation(
         if shape.sigma_deg is not None:
             shape = RotationEstimate(shape.rotation_deg, deformation * shape.sigma_deg)
     given = [measurement for measurement in (texture, shape) if measurement is not None]
-    return given[0] if len(given) == 1 else weighted_mean(*given)
+    fused = given[0] if len(given) == 1 else weighted_mean(*given)
+    return fused if fused.sigma_deg is None else replace(fused, sigma_deg=max(fused.sigma_deg, common_deg))
 
 
 def needs_contour(texture: RotationEstimate | None, axis: RotationEstimate) -> bool:

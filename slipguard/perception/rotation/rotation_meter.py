@@ -17,6 +17,7 @@ from slipguard.perception.rotation.contour_template import ContourTemplate, make
 from slipguard.perception.rotation.fusion import RotationEstimate, fuse_rotation, is_certain, needs_contour
 from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
+from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_registration import TextureFit
 from slipguard.perception.rotation.texture_tracker import TrackedTexture
@@ -149,9 +150,8 @@ class RotationMeter:
         center_shift_px = (center_px[0] - reference.center_px[0], center_px[1] - reference.center_px[1])
 
         if name not in ("fused", "registration"):
-            rotation = self._accept(now_s, fuse_rotation(None, None, axis), patch)
-            shift = reference.shift.measure(now_s, patch, None, center_shift_px, self._tracker.last_deg)
-            return RotationMeasurement(rotation, shift, axes)
+            shift = reference.shift.measure(now_s, patch, None, center_shift_px)
+            return self._accept(now_s, reference, fuse_rotation(None, None, axis), patch, shift, None, axes)
 
         (tried_at_s, texture_map, found), self._tried = self._tried, (-math.inf, None, None)
         if tried_at_s != now_s or found is None or found.rotation.rotation_deg is None:
@@ -174,9 +174,8 @@ class RotationMeter:
         remembers = remembers and texture is not None and texture.rotation_deg is not None
         if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
             rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
-            rotation = self._accept(now_s, rotation, patch, by_texture=True)
-            shift = reference.shift.measure(now_s, patch, found, center_shift_px, self._tracker.last_deg)
-            return RotationMeasurement(rotation, shift, axes)
+            shift = reference.shift.measure(now_s, patch, found, center_shift_px)
+            return self._accept(now_s, reference, rotation, patch, shift, found, axes, by_texture=True)
 
         certain = texture is not None and is_certain(texture)
         if not certain:
@@ -195,10 +194,10 @@ class RotationMeter:
             contour.rotation.widened(uneven_deg),
             contour.axis.widened(uneven_deg) if name == "fused" else None,
             1.0 if found is None else found.deformation,
+            uneven_deg,
         )
-        rotation = self._accept(now_s, rotation, patch)
-        shift = reference.shift.measure(now_s, patch, found, contour.shift_px, self._tracker.last_deg)
-        return RotationMeasurement(rotation, shift, axes)
+        shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
+        return self._accept(now_s, reference, rotation, patch, shift, found, axes)
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
@@ -224,8 +223,8 @@ class RotationMeter:
             return None
         if found.smooth is not None or not _moved_as_a_whole(found.fit, before):
             return None
-        rotation = self._accept(now_s, found.rotation, patch, by_texture=True)
-        return RotationMeasurement(rotation, reference.shift.follow(now_s, found, self._tracker.last_deg), {})
+        shift = reference.shift.follow(now_s, found)
+        return self._accept(now_s, reference, found.rotation, patch, shift, found, {}, by_texture=True)
 
     def take_reference(
         self,
@@ -263,20 +262,31 @@ class RotationMeter:
         return self._tracker.extrapolated_deg(now_s)
 
     def _accept(
-        self, now_s: float, rotation: RotationEstimate, patch: Patch, by_texture: bool = False
-    ) -> RotationEstimate:
+        self,
+        now_s: float,
+        reference: Reference,
+        rotation: RotationEstimate,
+        patch: Patch,
+        contact_shift: ShiftMeasurement,
+        found: TrackedTexture | None,
+        axes: PatchAxes,
+        by_texture: bool = False,
+    ) -> RotationMeasurement:
         """Decline a rotation that is too uncertain, implausible or the gel's own; add it to the history otherwise."""
-        if self.reference is not None:
-            growth = patch.area_px / max(self.reference.patch.area_px, 1)
-            factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
-            rotation = self.reference.contour.check(rotation, patch, factor)
-            if self._reader is None and rotation.sigma_deg is not None:
-                rotation = replace(rotation, sigma_deg=UNKNOWN_SIGMAS * factor * rotation.sigma_deg)
+        shift = reference.shift.at_axis(contact_shift, rotation.rotation_deg or 0.0)
+        growth = patch.area_px / max(reference.patch.area_px, 1)
+        factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
+        moved_px = 0.0 if shift.shift_px is None else math.hypot(*shift.shift_px)
+        rotation = reference.contour.check(rotation, patch, factor, 0.0 if found is None else found.lean, moved_px)
+        if self._reader is None and rotation.sigma_deg is not None:
+            rotation = replace(rotation, sigma_deg=UNKNOWN_SIGMAS * factor * rotation.sigma_deg)
         limit = self._settings.sigma_max_deg
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"
             rotation = RotationEstimate(None, None, explain(DeclineReason.UNCERTAIN, detail))
-        return self._tracker.accept(now_s, rotation, by_texture)
+        rotation = self._tracker.accept(now_s, rotation, by_texture)
+        # While the rotation is declined, the axis is taken to be where it last was: a jump would look like a slip.
+        return RotationMeasurement(rotation, reference.shift.at_axis(contact_shift, self._tracker.last_deg), axes)
 
     def _note_gap(self, now_s: float) -> None:
         """Pass on the time since the rotation was last known: a periodic texture may have rotated by a period."""

@@ -79,37 +79,16 @@ class ShiftMeter:
         return self._period[0]
 
     def measure(
-        self,
-        now_s: float,
-        patch: Patch,
-        found: TrackedTexture | None,
-        contour_px: tuple[float, float],
-        rotation_deg: float,
+        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
     ) -> ShiftMeasurement:
-        """Return the shift at `now_s`.
+        """Return the shift of the reference contact's center at `now_s`.
 
         Args:
             now_s: Capture time of the frame.
             patch: The contact in it.
             found: Its texture; None if the reference has none.
             contour_px: Shift of the contour, frame pixels.
-            rotation_deg: The last known rotation since the reference.
         """
-        return self._at_axis(self._of_contact(now_s, patch, found, contour_px), rotation_deg)
-
-    def _at_axis(self, shift: ShiftMeasurement, rotation_deg: float) -> ShiftMeasurement:
-        """Return the shift at the grasp axis from that of the reference contact's center."""
-        if shift.shift_px is None:
-            return shift
-        (x, y), center_px = shift.shift_px, self._patch.center_px
-        to_axis = (GRASP_AXIS_PX[0] - center_px[0], GRASP_AXIS_PX[1] - center_px[1])
-        carried = rotated(to_axis, rotation_deg)
-        return replace(shift, shift_px=(x + carried[0] - to_axis[0], y + carried[1] - to_axis[1]))
-
-    def _of_contact(
-        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
-    ) -> ShiftMeasurement:
-        """Return the shift of the reference contact's center."""
         self._beyond_px = (0.0, 0.0)
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
@@ -129,13 +108,22 @@ class ShiftMeter:
         self._beyond_px = (offset_px * along[0], offset_px * along[1])
         return ShiftMeasurement((shift_px[0] + self._beyond_px[0], shift_px[1] + self._beyond_px[1]))
 
-    def follow(self, now_s: float, found: TrackedTexture, rotation_deg: float) -> ShiftMeasurement:
+    def follow(self, now_s: float, found: TrackedTexture) -> ShiftMeasurement:
         """Return the shift in a frame without a segmented contact; its ends are where they were in the texture."""
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
         x, y = found.shift_px or (0.0, 0.0)
-        return self._at_axis(ShiftMeasurement((x + self._beyond_px[0], y + self._beyond_px[1])), rotation_deg)
+        return ShiftMeasurement((x + self._beyond_px[0], y + self._beyond_px[1]))
+
+    def at_axis(self, shift: ShiftMeasurement, rotation_deg: float) -> ShiftMeasurement:
+        """Return the shift at the grasp axis from that of the reference contact's center, for a rotation since then."""
+        if shift.shift_px is None:
+            return shift
+        (x, y), center_px = shift.shift_px, self._patch.center_px
+        before = (GRASP_AXIS_PX[0] - center_px[0], GRASP_AXIS_PX[1] - center_px[1])
+        after = rotated(before, rotation_deg)
+        return replace(shift, shift_px=(x + after[0] - before[0], y + after[1] - before[1]))
 
     def _suspect_direction(self, patch: Patch, shift_px: tuple[float, float]) -> Direction | None:
         """Return the direction in which the ends are to be measured: the center has moved differently, or is cut."""

@@ -22,6 +22,8 @@ POINTS_MAX = 1500
 POINTS_MIN = 60
 BLOCK_PX = 16.0
 """Residuals further apart than this are taken to be independent."""
+NEAR_PX = 30.0
+"""Partial slip: the middle that sticks, or what is around it, rotates by itself within about this distance (3 mm)."""
 COARSE_PX = 2.3
 """Blur (texture pixels, on top of the map's own) for the test of roundness: uneven light on a ball makes fine
 differences that do not rotate with it."""
@@ -42,6 +44,8 @@ class TextureTemplate:
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change by rotation, shift x, shift y, scale, gain.
     deform: (N, 5), change by uneven deformation of the gel: twist, two strains, two bends.
+    local: (N, 4), change by a rotation of what is near the grasp axis, and near the contact's center; and by a strength
+    that grows to the right, and downwards.
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
     only noise changes, so that a shift is invisible; None if there is none.
     noise: the camera's share of the values, r.m.s. image, origin_px: the source of the points, and the center in it.
@@ -54,6 +58,7 @@ class TextureTemplate:
     value: Field
     motion: Field
     deform: Field
+    local: Field
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
     center_px: tuple[float, float]
@@ -99,6 +104,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         curvature[y, x],
         motion,
         _deformations(motion, dx, dy),
+        _local_changes(motion, dx, dy, (center_x + window.left_px, center_y + window.top_px)),
         np.unique(block, return_inverse=True)[1],
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (center_x + window.left_px, center_y + window.top_px),
@@ -152,6 +158,21 @@ def _deformations(motion: Field, dx: Field, dy: Field) -> Field:
     strains = [gx * dx - gy * dy, gx * dy + gy * dx]
     size = np.sqrt(np.float32(square.mean()))
     return np.asarray(np.stack([(gx * dy - gy * dx) * far, *strains, gx * far * size, gy * far * size]), np.float32).T
+
+
+def _local_changes(motion: Field, dx: Field, dy: Field, center_px: tuple[float, float]) -> Field:
+    """Return the change of the image's values by what partial slip and a tilt of the object do: (N, 4) float32."""
+    gx, gy, value = motion[:, 1], motion[:, 2], motion[:, 4]
+
+    def rotation_near(x_px: float, y_px: float) -> Field:
+        x, y = dx - np.float32(x_px - center_px[0]), dy - np.float32(y_px - center_px[1])
+        return np.asarray((gx * y - gy * x) * np.exp((x * x + y * y) * np.float32(-(NEAR_PX**-2))), np.float32)
+
+    size = np.sqrt(np.mean(dx * dx + dy * dy))
+    near_axis = rotation_near((WIDTH_PX - 1) / 2.0, (HEIGHT_PX - 1) / 2.0)
+    return np.asarray(
+        np.stack([near_axis, rotation_near(*center_px), value * dx / size, value * dy / size]), np.float32
+    ).T
 
 
 def _smooth_direction(shifts: Field, noise: float) -> Field | None:

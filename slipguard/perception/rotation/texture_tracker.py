@@ -67,6 +67,7 @@ class TrackedTexture:
     shift_px: frame pixels right and down. deformation: factor on sigmas; 1 if the contact has not deformed.
     smooth: the direction (right, down; of length 1) along which the texture shows no shift; None if there is none.
     uneven_deg: sigma by uneven deformation, which the contour has as well.
+    lean: how much stronger the reference's texture has become on one side; 0 if unknown.
     fit: its registration to the reference; None if a key was used.
     """
 
@@ -75,6 +76,7 @@ class TrackedTexture:
     shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
     uneven_deg: float = 0.0
+    lean: float = 0.0
     fit: TextureFit | None = None
 
 
@@ -226,7 +228,7 @@ class TextureTracker:
         if (sigma is None or own_sigma > KEY_NEEDED_DEG) and not self.remembers:
             key_found = self._search_key(texture_map, start.rotation_deg)
             if key_found is not None and (sigma is None or (key_found.rotation.sigma_deg or 180.0) < sigma):
-                found, by_key = key_found, True
+                found, by_key = replace(key_found, lean=fit.lean), True
         rotation, sigma = found.rotation.rotation_deg, found.rotation.sigma_deg
         if rotation is None or sigma is None or found.shift_px is None:
             return found
@@ -282,9 +284,8 @@ class TextureTracker:
         key_sigma_deg: float,
     ) -> TrackedTexture:
         if fit.declined is not None:
-            return TrackedTexture(
-                RotationEstimate(None, None, fit.declined), fit.deformation, uneven_deg=fit.uneven_deg
-            )
+            declined = RotationEstimate(None, None, fit.declined)
+            return TrackedTexture(declined, fit.deformation, uneven_deg=fit.uneven_deg, lean=fit.lean)
         if self._memory.too_strong:
             detail = f"share {self._memory.share:.2f}, limit {SHARE_MAX:g}"
             return TrackedTexture(RotationEstimate(None, None, explain(DeclineReason.GEL_MEMORY, detail)), 1.0)
@@ -295,7 +296,7 @@ class TextureTracker:
         rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
         if template is self._first:
             rotation = self._memory.corrected(rotation_deg, sigma_deg(fit), fit.ghost)
-        return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg)
+        return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg, fit.lean)
 
 
 def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float = 0.0) -> float:

@@ -128,19 +128,19 @@ def test_a_periodic_texture_slides_when_it_has_changed_beyond_recognition(declin
     meter = ShiftMeter(None, patch)
     meter._period = ((0.0, 8.0),)
     rest = TrackedTexture(RotationEstimate(0.0, 0.5), 1.0, (0.0, 0.0))
-    assert not meter.measure(1.0, patch, rest, (0.0, 0.0), 0.0).slides
+    assert not meter.measure(1.0, patch, rest, (0.0, 0.0)).slides
     gone = None if declined is None else TrackedTexture(RotationEstimate(None, None, declined), 1.0)
-    assert meter.measure(1.02, patch, gone, (0.0, 0.0), 0.0).slides is slides
+    assert meter.measure(1.02, patch, gone, (0.0, 0.0)).slides is slides
 
 
 def test_the_shift_is_that_of_the_grasp_axis_wherever_the_contact_lies() -> None:
     patch = bar_patch(10, 40)  # 111 frame pixels above the image center
     meter = ShiftMeter(None, patch)
-    assert meter.measure(1.0, patch, None, (0.0, 0.0), 0.0).shift_px == (0.0, 0.0)
+    assert meter.at_axis(meter.measure(1.0, patch, None, (1.0, 2.0)), 0.0).shift_px == (1.0, 2.0)
     up_px = 159.5 - patch.center_px[1]
     moved = (-up_px * math.sin(math.radians(20.0)), up_px * (1.0 - math.cos(math.radians(20.0))))
-    shift = meter.measure(1.1, patch, None, (moved[0] + 3.0, moved[1] - 2.0), 20.0).shift_px
-    assert shift == pytest.approx((3.0, -2.0), abs=0.5)
+    shift = meter.at_axis(meter.measure(1.1, patch, None, (moved[0] + 3.0, moved[1] - 2.0)), 20.0)
+    assert shift.shift_px == pytest.approx((3.0, -2.0), abs=0.5)
 
 
 @pytest.mark.parametrize(("name", "seed"), [("wedge", 9), ("screwdriver", 5)])
