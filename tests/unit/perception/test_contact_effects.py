@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import cv2
+import numpy as np
 import pytest
 
 from slipguard.datasets.effect_scenes import EffectName, render_effect
+from slipguard.perception.contact.patch import find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
-from slipguard.perception.rotation.texture_registration import Ghost
+from slipguard.perception.rotation.texture_map import ImageWindow, TextureMap
+from slipguard.perception.rotation.texture_registration import Ghost, local_changes
+from slipguard.perception.rotation.texture_template import TextureTemplate, make_texture_template
 from slipguard.perception.settings import PerceptionSettings
 
 
-def errors(effect: EffectName, case: str, seed: int, level: float) -> tuple[list[float], list[float]]:
+def errors(effect: EffectName, case: str, seed: int, level: float | None = None) -> tuple[list[float], list[float]]:
     """Return the errors in degrees and in sigmas of a grasp's estimates."""
     grasp = render_effect(effect, case, seed, level)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
@@ -35,6 +40,36 @@ def test_gel_memory_is_detected_and_corrected() -> None:
 def test_partial_slip_is_declined_or_uncertain() -> None:
     _, errors_sigma = errors("partial slip", "bracket", 504, 9.0)
     assert max(errors_sigma, default=0.0) < 4.0
+
+
+@pytest.mark.parametrize(("effect", "case"), [("partial slip", "hook"), ("rocking", "banana"), ("rocking", "key")])
+def test_a_middle_that_slips_and_a_body_that_rolls_are_within_sigma(effect: EffectName, case: str) -> None:
+    errors_deg, errors_sigma = errors(effect, case, 500)
+    assert len(errors_deg) > 15
+    assert max(errors_sigma) < 3.0
+
+
+def test_a_middle_that_rotates_by_itself_and_a_stronger_side_are_measured() -> None:
+    template = texture_template()
+    weight = np.ones(len(template.value), np.float32)
+    rigid = np.asarray(0.05 * template.motion[:, 0] + 0.3 * template.motion[:, 1], np.float32)
+    assert local_changes(template, weight, rigid) == (pytest.approx(0.0, abs=0.05), pytest.approx(0.0, abs=0.01))
+    middle = np.asarray(np.radians(4.0) * template.local[:, 1], np.float32)
+    assert local_changes(template, weight, rigid + middle)[0] > 1.0
+    stronger = np.asarray(0.3 * template.local[:, 2], np.float32)
+    assert local_changes(template, weight, rigid + stronger)[1] == pytest.approx(0.3, abs=0.05)
+
+
+def texture_template() -> TextureTemplate:
+    rng = np.random.default_rng(3)
+    probability = np.zeros((160, 120), np.float32)
+    probability[50:110, 35:85] = 1.0
+    patch = find_patch(probability, 0.5, 100, 2.0)
+    assert patch is not None
+    curvature = cv2.GaussianBlur(rng.normal(0.0, 30.0, (160, 120)).astype(np.float32), (0, 0), 2.0)
+    template = make_texture_template(TextureMap(ImageWindow(0, 0, 120, 160), np.asarray(curvature, np.float32)), patch)
+    assert template is not None
+    return template
 
 
 def test_memory_is_certain_after_some_frames_and_then_corrects() -> None:
