@@ -1,10 +1,11 @@
 """The whole daemon as a process of its own, with fake devices whose images cost nothing: API, log, state, recorder.
 
-    python light_daemon.py FOLDER STATE_FOLDER [dead-disk]
+    python light_daemon.py FOLDER STATE_FOLDER [dead-disk] [guard-mode]
 
 Its log goes to stderr, or to the journal at FOLDER/journal if that exists; FOLDER/slipguard.sock is its API. An object
-lies between the jaws. dead-disk: a write of the state never ends, and the process waits for it for `DEAD_DISK_EXIT_S`.
-The wall clock of the process is ahead by the seconds in FOLDER/clock, which may change at any time.
+lies between the jaws. guard-mode: another program moves the arm. dead-disk: a write of the state never ends, and the
+process waits for it for `DEAD_DISK_EXIT_S`. The wall clock of the process is ahead by the seconds in
+FOLDER/clock, which may change at any time.
 """
 
 from __future__ import annotations
@@ -77,11 +78,12 @@ class SettableClock:
             await asyncio.sleep(CLOCK_READ_S)
 
 
-def main(folder: Path, state: Path, *, dead_disk: bool) -> None:
+def main(folder: Path, state: Path, *, dead_disk: bool, mode: str) -> None:
     raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
     raw |= {"state": {"directory": str(state)}, "api": {"socket": str(folder / "slipguard.sock"), "listen": ""}}
-    config = parse_config(raw | {"guard": {"tuning": PATIENT}}, where="test", sim=True)
-    cell = Cell("wrench", 1, guard={"tuning": PATIENT}, threads=True, watched=False)
+    guard = {"mode": mode, "tuning": PATIENT}
+    config = parse_config(raw | {"guard": guard}, where="test", sim=True)
+    cell = Cell("wrench", 1, guard=guard, threads=True, watched=False)
     journal = folder / "journal"
     if journal.exists():
         stderr = os.fstat(sys.stderr.fileno())
@@ -107,4 +109,7 @@ def main(folder: Path, state: Path, *, dead_disk: bool) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Path(sys.argv[2]), dead_disk="dead-disk" in sys.argv)
+    guard_mode = "guard-mode" in sys.argv
+    main(
+        Path(sys.argv[1]), Path(sys.argv[2]), dead_disk="dead-disk" in sys.argv, mode="guard" if guard_mode else "lift"
+    )
