@@ -1,0 +1,6 @@
+"""Any LeRobot robot with a gripper that slipguard guards."""
+
+from lerobot_robot_slipguard.config_slipguard_robot import SlipguardRobotConfig
+from lerobot_robot_slipguard.slipguard_robot import SlipguardRobot
+
+__all__ = ["SlipguardRobot", "SlipguardRobotConfig"]

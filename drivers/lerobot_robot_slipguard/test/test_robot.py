@@ -1,0 +1,169 @@
+"""The guarded robot: what reaches the arm, the jaws and the policy."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from lerobot.robots import make_robot_from_config
+from processes import Daemon, wait_until
+
+from lerobot_camera_slipguard import DaemonUnreachable, LocalApi, SlipguardCameraConfig
+from lerobot_robot_slipguard import SlipguardRobot, SlipguardRobotConfig
+from lerobot_robot_slipguard.slipguard_robot import NotGuarding, _check_guarding
+
+SLIP_KEYS = ("slip.rotation_deg", "slip.sigma_deg", "grip.force_n")
+OPEN, CLOSED = 100.0, 0.0
+
+
+def make(daemon: Daemon, **changes: Any) -> SlipguardRobot:
+    import scripted  # noqa: F401 - registers the arm
+
+    cameras = {"gel_left": SlipguardCameraConfig(finger="left", max_age_ms=5000, socket=daemon.socket)}
+    config = SlipguardRobotConfig(arm={"type": "scripted_arm"}, socket=daemon.socket, cameras=cameras, **changes)
+    made = make_robot_from_config(config)
+    assert isinstance(made, SlipguardRobot)
+    return made
+
+
+@pytest.fixture
+def robot(daemon: Daemon) -> Iterator[SlipguardRobot]:
+    """Connected, with open jaws; what it holds at the end is released."""
+    robot = make(daemon, force_in_action=True)
+    robot.connect()
+    yield robot
+    if robot.is_connected:
+        robot.disconnect()
+    daemon.release()
+
+
+def act(robot: SlipguardRobot, gripper: float, force_n: float = 0.0, shoulder: float = 0.0) -> dict[str, Any]:
+    robot.get_observation()
+    action = {"shoulder.pos": shoulder, "elbow.pos": 0.0, "gripper.pos": gripper, "grip.force_n": force_n}
+    return robot.send_action(action)
+
+
+def close_on_object(daemon: Daemon, robot: SlipguardRobot) -> dict[str, Any]:
+    def held() -> dict[str, Any] | None:
+        act(robot, CLOSED)
+        state = daemon.state()
+        return state if state["phase"] == "holding" else None
+
+    return dict(wait_until(held, "held"))
+
+
+def test_features_match_what_is_returned(daemon: Daemon, robot: SlipguardRobot) -> None:
+    observation = robot.get_observation()
+    assert set(observation) == set(robot.observation_features)
+    assert observation["gel_left"].shape == robot.observation_features["gel_left"]
+    assert set(act(robot, OPEN)) == set(robot.action_features)
+    assert set(SLIP_KEYS) < set(robot.observation_features)
+    assert list(make(daemon).action_features) == ["shoulder.pos", "elbow.pos", "gripper.pos"], (
+        "what a teleoperator gives"
+    )
+
+
+def test_without_an_estimate_all_numbers_are_finite(robot: SlipguardRobot) -> None:
+    observation = robot.get_observation()
+    assert [observation[key] for key in SLIP_KEYS] == [0.0, 180.0, 0.0]
+
+
+def test_grip_guard_and_release(daemon: Daemon, robot: SlipguardRobot) -> None:
+    state = close_on_object(daemon, robot)
+    observation = robot.get_observation()
+    assert observation["grip.force_n"] == pytest.approx(state["target_force_n"], abs=1.0)
+    assert observation["slip.sigma_deg"] < 30.0, "an estimate"
+    sent = act(robot, CLOSED, force_n=5.0)
+    assert sent["grip.force_n"] >= state["target_force_n"] - 0.1, "the guard's force is the floor"
+    assert sent["gripper.pos"] == pytest.approx(observation["gripper.pos"], abs=5.0), "the jaws stay on the object"
+    act(robot, CLOSED, force_n=state["target_force_n"] + 20.0)
+    wait_until(lambda: daemon.state()["target_force_n"] > state["target_force_n"] + 15.0, "tightened as requested")
+    for _ in range(5):  # a short opening
+        act(robot, OPEN)
+    act(robot, 80.0)
+    assert daemon.state()["phase"] not in ("released", "idle"), "kept"
+    wait_until(lambda: act(robot, OPEN) and daemon.state()["phase"] in ("released", "idle"), "released")
+    wait_until(lambda: daemon.state()["gripper"]["width_mm"] > 70.0, "open")
+
+
+def test_a_policy_that_commands_open_jaws_does_not_drop_what_another_client_gripped(
+    daemon: Daemon, robot: SlipguardRobot
+) -> None:
+    act(robot, OPEN)
+    daemon.api.submit("grasp", {})
+    daemon.wait_for("holding")
+    ends_s = time.monotonic() + 1.0
+    while time.monotonic() < ends_s:
+        act(robot, OPEN)
+    assert daemon.state()["phase"] == "holding"
+
+
+def test_the_arms_part_reaches_the_arm_and_only_that(robot: SlipguardRobot) -> None:
+    sent = act(robot, OPEN, shoulder=120.0)
+    assert robot.arm.sent[-1] == {"shoulder.pos": 120.0, "elbow.pos": 0.0}
+    assert sent["shoulder.pos"] == 90.0, "as the arm limited it"
+
+
+@pytest.mark.parametrize("wrong", [{"gripper.pos": math.nan}, {"gripper.pos": None}, {"elbow.pos": math.inf}])
+def test_an_invalid_action_sends_nothing(robot: SlipguardRobot, wrong: dict[str, Any]) -> None:
+    action = {"shoulder.pos": 1.0, "elbow.pos": 0.0, "gripper.pos": OPEN, "grip.force_n": 0.0}
+    with pytest.raises(ValueError, match="must be a finite number"):
+        robot.send_action(action | wrong)
+    assert not robot.arm.sent
+
+
+def test_during_a_fault_the_arm_stays_and_the_jaws_stay(
+    daemon: Daemon, robot: SlipguardRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    close_on_object(daemon, robot)
+    act(robot, CLOSED, shoulder=30.0)
+    fault = {"code": "frames lost", "observed": "no good frame for 0.5 s", "what_to_do": "check the cables"}
+    monkeypatch.setattr(LocalApi, "state", lambda self, read=LocalApi.state: read(self) | {"fault": fault})
+    before = len(robot.arm.sent)
+    for _ in range(30):
+        sent = act(robot, OPEN, shoulder=60.0)
+        time.sleep(1 / 30)
+    assert len(robot.arm.sent) == before, "the arm got nothing"
+    assert sent["shoulder.pos"] == 30.0, "what was sent last"
+    monkeypatch.undo()
+    assert daemon.state()["gripper"]["holding"], "a policy releases nothing during a fault"
+    assert act(robot, CLOSED, shoulder=60.0)["shoulder.pos"] == 60.0, "the arm follows again"
+
+
+def test_without_a_daemon_the_arm_stays_too(
+    daemon: Daemon, robot: SlipguardRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreachable(self: LocalApi) -> None:
+        raise DaemonUnreachable("no slipguard daemon responds")
+
+    act(robot, OPEN, shoulder=10.0)
+    robot._state = None  # as after a pause
+    monkeypatch.setattr(LocalApi, "state", unreachable)
+    with pytest.raises(DaemonUnreachable):
+        robot.get_observation()
+    action = {"shoulder.pos": 50.0, "elbow.pos": 0.0, "gripper.pos": OPEN, "grip.force_n": 0.0}
+    assert robot.send_action(action)["shoulder.pos"] == 10.0
+
+
+def test_connecting_says_what_is_missing(daemon: Daemon) -> None:
+    robot = make(daemon)
+    robot.config.socket = "/nowhere/slipguard.sock"
+    with pytest.raises(DaemonUnreachable, match="slipguard run"):
+        robot.connect()
+    assert not robot.is_connected
+    assert not robot.arm.is_connected
+    for change, hint in (
+        ({"mode": "lift"}, 'guard.mode = "guard"'),
+        ({"waiting_for": ["gripper: not activated"]}, "not activated"),
+        ({"guarding": False}, "guard on"),
+    ):
+        with pytest.raises(NotGuarding, match=hint):
+            _check_guarding(daemon.state() | change, daemon.socket)
+
+
+def test_an_unknown_arm_is_refused() -> None:
+    with pytest.raises(ValueError, match="nothing_like_it"):
+        SlipguardRobotConfig(arm={"type": "nothing_like_it"}).arm_config()
