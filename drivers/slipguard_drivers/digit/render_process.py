@@ -15,7 +15,8 @@ import sys
 from slipguard.thread_priority import set_batch_priority
 from slipguard_drivers.child_process import PACKET_BYTES
 
-NICENESS = 10
+NICENESS = 2
+"""Enough for the daemon to come first. With 10, four busy programs take all frames from the emulated cameras."""
 
 
 def main() -> None:
