@@ -10,7 +10,7 @@ import json
 import sys
 from collections.abc import Callable, Coroutine
 
-from slipguard_emulators.robotiq.jaws import SimpleJaws
+from slipguard_emulators.robotiq.jaws import JawsPlant, SimpleJaws
 from slipguard_emulators.ur5.tool import StraightTool
 
 HOST = "127.0.0.1"
@@ -22,8 +22,8 @@ Client = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Coroutine[None, 
 class TextGripperDevice:
     """Jaws that keep the force of a finished grip; a halted closing may have gripped something."""
 
-    def __init__(self, object_mm: float) -> None:
-        self._jaws = SimpleJaws(object_mm=object_mm or None)
+    def __init__(self, jaws: JawsPlant) -> None:
+        self._jaws = jaws
         self._applied_n = 0.0
         self._closing = self._halted = False
 
@@ -81,7 +81,10 @@ def serve(device: TextGripperDevice | TextArmDevice) -> Client:
 
 
 async def main(object_mm: float) -> None:
-    devices = {"gripper": TextGripperDevice(object_mm), "arm": TextArmDevice()}
+    devices: dict[str, TextGripperDevice | TextArmDevice] = {
+        "gripper": TextGripperDevice(SimpleJaws(object_mm=object_mm or None)),
+        "arm": TextArmDevice(),
+    }
     servers = {name: await asyncio.start_server(serve(device), HOST, 0) for name, device in devices.items()}
     print(json.dumps({name: server.sockets[0].getsockname()[1] for name, server in servers.items()}), flush=True)
     await asyncio.to_thread(sys.stdin.read)

@@ -66,10 +66,9 @@ class TextGripper(Gripper):
         await self._link.ask("halt")
 
     async def release(self, width_mm: float) -> None:
-        goal_mm = min(self._checked(width_mm), STROKE_MM)
         async with self._one_command:
-            self._goal_mm = goal_mm
-            await self._link.ask(f"open {goal_mm}")
+            self._goal_mm = min(self._checked(width_mm), STROKE_MM)
+            await self._link.ask(f"open {self._goal_mm}")
 
     async def close(self) -> None:  # the grip stays
         self._link.close()
