@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,18 +48,49 @@ _ROUNDING_SQUARE = 0.25
 _CHANNELS = 3
 
 
+class _Region:
+    """The blocks in and around a contact, and what follows from them alone. near: (1200,) bool; None: all blocks."""
+
+    def __init__(self, near: NDArray[np.bool_] | None) -> None:
+        self.source = near
+        self.near = np.ones(BLOCKS_HIGH * BLOCKS_WIDE, np.float32) if near is None else near.astype(np.float32)
+        self.inside = float(self.near.sum())
+        self.outside = float(self.near.size) - self.inside
+        self._away = 1.0 - self.near
+        self._level_share = self._away / np.float32(self.outside + _LEVEL_PRIOR)
+        away = self._away.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
+        self._column_share = (away / (away.sum(axis=0) + np.float32(_LEVEL_PRIOR)))[..., None]
+
+    def without_columns(self, difference: Blocks) -> Blocks:
+        """Remove the mean away from the contact (drift of the light), then that of each column: DIGIT columns flicker.
+
+        Returns:
+            (1200, 3) float32.
+        """
+        image = (difference - self._level_share @ difference).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
+        image -= (self._column_share * image).sum(axis=0)
+        return np.asarray(image.reshape(-1, _CHANNELS), np.float32)
+
+    @cached_property
+    def squared_motions(self) -> NDArray[np.float64]:
+        """How far a unit rotation and both unit shifts move the blocks near the contact, squares summed."""
+        x, y = _places(self.near)
+        weight = self.near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
+        return np.array([float((weight * (x**2 + y**2)).sum()), self.inside, self.inside])
+
+
 @dataclass(slots=True, eq=False)
 class _KeptImage:
     """The image that others are compared with.
 
-    blocks: (1200, 3) float32, mean of `count` images. near: (1200,) float32, 1 in and around the contact.
+    blocks: (1200, 3) float32, mean of `count` images. region: the contact in it.
     since_s: when it was taken. change_s: how long the change before it took.
     motions: (3600, 3), change by a rotation (rad) and by shifts right and down (blocks); None until needed.
     strengths: (3,) norms of these.
     """
 
     blocks: Blocks
-    near: NDArray[np.float32]
+    region: _Region
     since_s: float
     change_s: float
     count: int = 1
@@ -98,12 +130,17 @@ class ChangeDetector:
         return self._kept is not None and self._equal(blocks, self._kept)
 
     def _equal(self, blocks: Blocks, kept: _KeptImage) -> bool:
-        difference = _without_columns(blocks - kept.blocks, kept.near)
+        region = kept.region
+        difference = blocks - kept.blocks
         difference *= self._inverse_std * np.float32(1.0 / math.sqrt(1.0 + 1.0 / kept.count))
+        # A step along a column contains neither drift nor flicker, and is at most twice the worst block.
+        step = difference[BLOCKS_WIDE:] - difference[:-BLOCKS_WIDE]
+        if float(np.einsum("ij,ij->i", step, step).max()) > 4.0 * WORST_STD**2 * _NOISE_MAX:
+            return False
+        difference = region.without_columns(difference)
         square = np.einsum("ij,ij->i", difference, difference)
-        inside, all_blocks = float(kept.near.sum()), float(square.size)
-        within, total = float(kept.near @ square), float(square.sum())
-        outside = all_blocks - inside
+        inside, outside = region.inside, region.outside
+        within, total = float(region.near @ square), float(square.sum())
         noise, scatter2 = 1.0, 2.0 / (_CHANNELS * max(inside, 1.0))
         if outside >= _OUTSIDE_MIN:
             scatter2 += 2.0 / (_CHANNELS * outside)
@@ -125,7 +162,7 @@ class ChangeDetector:
             return False
         strengths = self._motions(self._kept)[1]
         # The squared strength contains the noise of the gradient itself, which is no signal.
-        own = 0.5 * _CHANNELS * _squared_motions(self._kept.near) / self._kept.count
+        own = 0.5 * _CHANNELS * self._kept.region.squared_motions / self._kept.count
         signal = np.sqrt(np.maximum(strengths**2 - own, 1e-9))
         least = MOTION_STD * math.sqrt(1.0 + 1.0 / self._kept.count) / signal
         if with_rotation and math.degrees(float(least[0])) > SENSITIVE_DEG:
@@ -151,11 +188,11 @@ class ChangeDetector:
                 kept.count += 1
                 kept.motions = None
             return
-        inside = np.ones(len(blocks), np.float32) if near is None else near.astype(np.float32)
+        region = kept.region if kept is not None and kept.region.source is near else _Region(near)
         change_s = 0.0 if kept is None else max(now_s - kept.since_s, 0.0)
         if kept is not None and kept.count >= AVERAGED:
             self._previous, self._glitch_frames_left = kept, GLITCH_FRAMES + 1
-        self._kept = _KeptImage(blocks, inside, now_s, change_s)
+        self._kept = _KeptImage(blocks, region, now_s, change_s)
 
     def at_rest(self, now_s: float) -> bool:
         """Return whether the image has been unchanged for long enough to skip a frame."""
@@ -172,32 +209,14 @@ class ChangeDetector:
             slope_x, slope_y = np.zeros_like(image), np.zeros_like(image)
             slope_x[:, 1:-1] = 0.5 * (image[:, 2:] - image[:, :-2])
             slope_y[1:-1] = 0.5 * (image[2:] - image[:-2])
-            x, y = _places(kept.near)
-            near = kept.near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
+            x, y = _places(kept.region.near)
+            near = kept.region.near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
             rotation = slope_x * (near * y)[..., None] - slope_y * (near * x)[..., None]
             slope_x *= near[..., None]
             slope_y *= near[..., None]
             kept.motions = np.stack([rotation.ravel(), slope_x.ravel(), slope_y.ravel()], axis=1).astype(np.float32)
             kept.strengths = np.sqrt(np.einsum("ij,ij->j", kept.motions, kept.motions).astype(np.float64)) + 1e-6
         return kept.motions, kept.strengths
-
-
-def _without_columns(difference: Blocks, near: NDArray[np.float32]) -> Blocks:
-    """Remove the mean away from the contact (drift of the light), then that of each column: DIGIT columns flicker."""
-    away = 1.0 - near
-    level = (away @ difference) / (float(away.sum()) + _LEVEL_PRIOR)
-    image = (difference - level).reshape(BLOCKS_HIGH, BLOCKS_WIDE, _CHANNELS)
-    away = away.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
-    columns = np.einsum("rc,rck->ck", away, image) / (away.sum(axis=0) + np.float32(_LEVEL_PRIOR))[:, None]
-    return np.asarray((image - columns).reshape(-1, _CHANNELS), np.float32)
-
-
-def _squared_motions(near: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return how far a unit rotation and both unit shifts move the blocks near the contact, squares summed."""
-    x, y = _places(near)
-    weight = near.reshape(BLOCKS_HIGH, BLOCKS_WIDE)
-    count = float(weight.sum())
-    return np.array([float((weight * (x**2 + y**2)).sum()), count, count])
 
 
 def _places(near: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
