@@ -90,6 +90,8 @@ class ShiftMeter:
             contour_px: Shift of the contour, frame pixels.
         """
         self._beyond_px = (0.0, 0.0)
+        if patch is self._patch:  # the reference's own frame takes long enough without the search for a period
+            return ShiftMeasurement((0.0, 0.0))
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
@@ -188,13 +190,14 @@ def _difference_when_shifted(template: TextureTemplate) -> NDArray[np.float32]:
     rows, columns = (cv2.getOptimalDFTSize(size + PERIOD_MAX_PX) for size in value.shape)
     spectra = [np.fft.rfft2(one, (rows, columns)).astype(np.complex64) for one in (inside, value, np.square(value))]
 
-    def correlation(one: int, other: int) -> NDArray[np.float32]:
-        whole = np.fft.irfft2(spectra[one] * np.conj(spectra[other]), (rows, columns))
+    def by_shift(spectrum: NDArray[np.complex64] | NDArray[np.floating]) -> NDArray[np.float32]:
+        whole = np.fft.irfft2(spectrum, (rows, columns))
         index = np.arange(-PERIOD_MAX_PX, PERIOD_MAX_PX + 1)
         return np.asarray(whole[np.ix_(index, index)], np.float32)
 
-    overlap = correlation(0, 0)
-    square = correlation(2, 0) + correlation(0, 2) - 2.0 * correlation(1, 1)
+    mask, values, squares = spectra
+    overlap = by_shift(mask * np.conj(mask))
+    square = by_shift(2.0 * (np.real(squares * np.conj(mask)) - np.square(np.abs(values))))
     enough = overlap >= OVERLAP_MIN * float(inside.sum())
     return np.where(enough, square / np.maximum(overlap, 1.0), np.float32(np.inf)).astype(np.float32)
 
@@ -231,7 +234,8 @@ def _ends_px(patch: Patch, along: Direction, center_px: tuple[float, float]) -> 
     rows, columns = np.nonzero(patch.mask[::2, ::2])
     x, y = 2 * columns + patch.left_px, 2 * rows + patch.top_px
     place = x * along[0] + y * along[1]
-    low, high = np.quantile(place, (END_SHARE, 1.0 - END_SHARE))
+    beyond = int(END_SHARE * (len(place) - 1))
+    low, high = np.partition(place, (beyond, -1 - beyond))[[beyond, -1 - beyond]]
     width, height = patch.image_size
     cut = (x < EDGE_PX) | (x >= width - EDGE_PX) | (y < EDGE_PX) | (y >= height - EDGE_PX)
     center = center_px[0] * along[0] + center_px[1] * along[1]

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.rotation.contour_template import sampled
 from slipguard.perception.rotation.round_contact import round_texture_reason
 from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Field, TextureMap, mask_in_window
 
@@ -124,11 +123,12 @@ def period_deg(template: TextureTemplate) -> float | None:
     dx, dy, (center_x, center_y) = template.x_px, template.y_px, template.origin_px
     highest = 0.0
     found: tuple[float, float] | None = None
-    for rotation_deg in np.arange(PERIOD_STEP_DEG, PERIOD_MAX_DEG + 0.1, PERIOD_STEP_DEG):
-        c, s = np.float32(math.cos(math.radians(rotation_deg))), np.float32(math.sin(math.radians(rotation_deg)))
-        x, y = dx * c + dy * s + np.float32(center_x), dy * c - dx * s + np.float32(center_y)
-        away = sampled(template.image, x, y, cv2.BORDER_REPLICATE) - template.value
-        square = float(away @ away)
+    rotations_deg = np.arange(PERIOD_STEP_DEG, PERIOD_MAX_DEG + 0.1, PERIOD_STEP_DEG)
+    c = np.cos(np.radians(rotations_deg)).astype(np.float32)[:, None]
+    s = np.sin(np.radians(rotations_deg)).astype(np.float32)[:, None]
+    x, y = c * dx + s * dy + np.float32(center_x), c * dy - s * dx + np.float32(center_y)
+    away = cv2.remap(template.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) - template.value
+    for rotation_deg, square in zip(rotations_deg, np.einsum("ij,ij->i", away, away).tolist(), strict=True):
         if found is not None and square >= found[0]:
             break
         if square < PERIODIC_SHARE * highest:
