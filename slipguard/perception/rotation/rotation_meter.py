@@ -32,8 +32,10 @@ MISFIT_SIGMAS = 1.5
 """If the contour is not the reference's any more, the axis is off too: by this share of the contour's misfit."""
 WHOLE_SCALE, WHOLE_GAIN, WHOLE_ALIKE = 0.02, 0.1, 0.03
 WHOLE_DEG, WHOLE_PX = 8.0, 3.0
+WHOLE_SIGMA_DEG, MOVED_SHARE = 4.0, 0.1
 """Changes since the last segmentation up to which a contact moves as a whole: shares of scale and strength, correlation
-with the reference, rotation and shift (texture pixels)."""
+with the reference, rotation and shift (texture pixels). A texture up to this sigma still shows how far the contact has
+rotated since then, with this share of the way in sigma."""
 SECOND_START_DEG = 4.0
 """If the axis points further away than this from the registered contour, registration also starts from there."""
 
@@ -45,6 +47,15 @@ class _ContourMeasurement:
     rotation: RotationEstimate
     axis: RotationEstimate
     shift_px: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class _WholeContact:
+    """The last measurement of a segmented contact: registration and rotation of the texture, and the fused rotation."""
+
+    fit: TextureFit
+    texture: RotationEstimate
+    fused: RotationEstimate
 
 
 class RotationMeter:
@@ -77,7 +88,7 @@ class RotationMeter:
         self._template: ContourTemplate | None = None
         self._pose = ContourPose()
         self._choice = ReferenceSelector(settings.reference == "first")
-        self._whole_fit: TextureFit | None = None
+        self._whole: _WholeContact | None = None
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
     @property
@@ -167,13 +178,14 @@ class RotationMeter:
             else:
                 found = reference.texture.track(texture_map, patch, predicted_deg, axis)
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
-        self._whole_fit = None if found is None else found.fit
+        self._whole = None
         texture = None if found is None else found.rotation
 
         remembers = reference.texture is not None and reference.texture.remembers
         remembers = remembers and texture is not None and texture.rotation_deg is not None
         if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
             rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
+            self._note_whole(found, rotation)
             shift = reference.shift.measure(now_s, patch, found, center_shift_px)
             return self._accept(now_s, reference, rotation, patch, shift, found, axes, by_texture=True)
 
@@ -196,16 +208,17 @@ class RotationMeter:
             1.0 if found is None else found.deformation,
             uneven_deg,
         )
+        self._note_whole(found, rotation)
         shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
         return self._accept(now_s, reference, rotation, patch, shift, found, axes)
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
 
-        It is enough while the texture is certain and has moved as a whole: neither its scale, its strength nor its
-        correlation with the reference have changed since `measure`.
+        It is enough while the texture has moved as a whole: neither its scale, its strength nor its correlation with
+        the reference have changed since `measure`. If it is not certain, it shows the rotation since then.
         """
-        reference, before = self.reference, self._whole_fit
+        reference, before = self.reference, self._whole
         if reference is None or reference.texture is None or before is None or self._tracker.offered_deg is not None:
             return None
         if self._choice.provisional or self._choice.carries:
@@ -219,12 +232,18 @@ class RotationMeter:
             return None
         found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None), take_key=False)
         self._tried = now_s, texture_map, found
-        if found.fit is None or not is_certain(found.rotation):
+        if found.fit is None or found.smooth is not None or not _moved_as_a_whole(found.fit, before.fit):
             return None
-        if found.smooth is not None or not _moved_as_a_whole(found.fit, before):
+        certain = is_certain(found.rotation)
+        rotation = found.rotation if certain else _carried_on(before, found.rotation)
+        if rotation is None:
             return None
         shift = reference.shift.follow(now_s, found)
-        return self._accept(now_s, reference, found.rotation, patch, shift, found, {}, by_texture=True)
+        return self._accept(now_s, reference, rotation, patch, shift, found, {}, by_texture=certain)
+
+    def _note_whole(self, found: TrackedTexture | None, fused: RotationEstimate) -> None:
+        if found is not None and found.fit is not None:
+            self._whole = _WholeContact(found.fit, found.rotation, fused)
 
     def take_reference(
         self,
@@ -250,13 +269,15 @@ class RotationMeter:
         self.reference = make_reference(image, patch, axes, self._reader, rotation_deg is not None)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
-        self._whole_fit = None
+        self._whole = None
         self._template = None
         self._pose = ContourPose(rotation_deg or 0.0)
         return axes
 
     def _predicted_deg(self, reference: Reference, now_s: float) -> float:
         """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
+        if now_s == self._tracker.known_at_s:  # the reference's own frame; the search for a period can wait
+            return self._tracker.predicted_deg(now_s)
         if reference.texture is None or reference.texture.period_deg is None:
             return self._tracker.predicted_deg(now_s)
         return self._tracker.extrapolated_deg(now_s)
@@ -338,6 +359,19 @@ class RotationMeter:
         other = registrar.fit(ContourPose(axis_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
+
+
+def _carried_on(before: _WholeContact, texture: RotationEstimate) -> RotationEstimate | None:
+    """Return the rotation by that of the texture since the last segmented contact; None if too uncertain."""
+    first, fused = before.texture, before.fused
+    if texture.rotation_deg is None or first.rotation_deg is None or fused.rotation_deg is None:
+        return None
+    sigma, first_sigma = texture.sigma_deg or 0.0, first.sigma_deg or 0.0
+    if sigma > WHOLE_SIGMA_DEG or fused.sigma_deg is None:
+        return None
+    moved_deg = texture.rotation_deg - first.rotation_deg
+    grown = math.sqrt(max(sigma**2 - first_sigma**2, 0.0))
+    return RotationEstimate(fused.rotation_deg + moved_deg, math.hypot(fused.sigma_deg, grown, MOVED_SHARE * moved_deg))
 
 
 def _moved_as_a_whole(fit: TextureFit, before: TextureFit) -> bool:
