@@ -134,7 +134,7 @@ def test_a_periodic_texture_slides_when_it_has_changed_beyond_recognition(declin
 
 def test_the_shift_is_that_of_the_grasp_axis_wherever_the_contact_lies() -> None:
     patch = bar_patch(10, 40)  # 111 frame pixels above the image center
-    meter = ShiftMeter(None, patch)
+    meter = ShiftMeter(None, bar_patch(10, 40))
     assert meter.at_axis(meter.measure(1.0, patch, None, (1.0, 2.0)), 0.0).shift_px == (1.0, 2.0)
     up_px = 159.5 - patch.center_px[1]
     moved = (-up_px * math.sin(math.radians(20.0)), up_px * (1.0 - math.cos(math.radians(20.0))))
