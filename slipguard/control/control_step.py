@@ -187,7 +187,7 @@ def _report_notes(state: GraspState, output: StepOutput, observation: Observatio
         return replace(state, reported=replace(reported, note=None)), output
     if fused is None:
         return state, output
-    note = fused.conflict or fused.note or fused.declined
+    note = fused.conflict or fused.shift_conflict or fused.note or fused.declined
     if note is not None:
         if reported.note is not None and without_figures(reported.note) == without_figures(note):
             return replace(state, reported=replace(reported, noted_s=now_s)), output

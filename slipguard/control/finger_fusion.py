@@ -24,6 +24,9 @@ DIFFER_DEG = 3.0
 """About twice the difference of two fingers in lifts, elastic torsion of soft pads included (1.6 degrees)."""
 DIFFER_SHARE = 0.1
 """A finger's error grows with the rotation, by up to 4.5 % of it (one standard deviation)."""
+AXIS_SIGMA_MAX_DEG = 3.0
+"""Two fingers that see only the axis of a less certain jump do not confirm each other: a nearly round contact has an
+axis that may flip in both."""
 AXIAL_SIGMA_DEG = 90.0
 """A jump that only the contact's axis shows may be 180 degrees more or less: two standard deviations."""
 GAP_MAX_S = 0.1
@@ -50,7 +53,8 @@ class FusedEstimate:
         rate_deg_s: of the rotation.
         shift_mm, sideways_mm: down and to the right since the reference, mean of the `shift_fingers` that know it.
         slides: no finger knows the shift, and one sees that the object slides.
-        conflict: the fingers contradict each other, so only the one with the larger rotation is used.
+        conflict: the fingers' rotations contradict each other, so only the larger one is used. shift_conflict: so do
+            their shifts.
         note: what is worth reporting although there is an estimate.
         declined: why there is none.
     """
@@ -71,6 +75,7 @@ class FusedEstimate:
     slides: bool = False
     sideways_mm: float | None = None
     shift_fingers: tuple[str, ...] = ()
+    shift_conflict: str | None = None
 
     @property
     def both_touch(self) -> bool:
@@ -124,7 +129,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         shift_mm=shift_mm[1] if shift_mm is not None else None,
         sideways_mm=shift_mm[0] if shift_mm is not None else None,
         shift_fingers=tuple(shifts),
-        conflict=opposed,
+        shift_conflict=opposed,
         slides=not shifts and any(estimate.slides for estimate in given),
     )
     if not rotations:
@@ -141,7 +146,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         rotation_deg=rotation_deg,
         sigma_deg=sigma_deg,
         rate_deg_s=_rate(used),
-        conflict=conflict or opposed,
+        conflict=conflict,
         note="; ".join(notes) or None,
     )
 
@@ -217,6 +222,8 @@ def _confirmed_jump(left: Estimate | None, right: Estimate | None) -> list[_Rota
     apart_deg = other.rotation_deg - one.rotation_deg
     apart_deg = math.remainder(apart_deg, 180.0) if any(axial) else apart_deg
     if abs(apart_deg) > DIFFER_DEG + AGREE_SIGMAS * math.hypot(one.sigma_deg, other.sigma_deg):
+        return []
+    if all(axial) and max(one.sigma_deg, other.sigma_deg) > AXIS_SIGMA_MAX_DEG:
         return []
     if not all(axial):
         return [rotation for rotation, unsure in zip(rotations, axial, strict=True) if not unsure]

@@ -49,11 +49,11 @@ class GuardTuning(_Table):
     creep_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0
     """A rotation beyond this is slip at any rate."""
     slip_mm: Annotated[float, Field(ge=0.1, le=5.0)] = 0.5
-    """A downward motion below this is never translational slip."""
+    """A motion below this, in any direction, is never translational slip."""
     slip_rate_mm_s: Annotated[float, Field(ge=0.1, le=50.0)] = 3.0
     """Translational slip is at least this fast."""
     creep_mm: Annotated[float, Field(ge=0.2, le=10.0)] = 2.0
-    """A downward motion beyond this is slip at any speed."""
+    """A motion beyond this, in any direction, is slip at any speed."""
     confirm_frames: Annotated[int, Field(ge=1, le=10)] = 2
     """This many measured frames in a row must show the slip."""
 

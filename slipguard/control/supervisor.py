@@ -224,8 +224,9 @@ def _follow_trust(memory: Supervision, state: GraspState, observation: Observati
     fused, now_s = observation.fused, observation.now_s
     if fused is None or not state.held.referenced or state.phase is Phase.REFERENCE:
         return replace(memory, untrusted=None, untrusted_since_s=None)
-    why = fused.conflict if fused.conflict is not None or fused.rotation_deg is not None else fused.declined
-    contradicted_s = memory.contradicted_s if fused.conflict is None else now_s
+    conflict = fused.conflict or fused.shift_conflict
+    why = conflict if conflict is not None or fused.rotation_deg is not None else fused.declined
+    contradicted_s = memory.contradicted_s if conflict is None else now_s
     if why is None and len(fused.fingers) == 1 and now_s - contradicted_s < LEFT_OUT_S:
         why = memory.untrusted
     since_s = _since(memory.untrusted_since_s, why is not None, now_s)

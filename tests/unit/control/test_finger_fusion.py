@@ -186,6 +186,13 @@ def test_two_fingers_confirm_a_jump_that_each_declines_alone() -> None:
     assert measured.rotation_deg == -1.0
 
 
+def test_uncertain_axes_confirm_no_jump() -> None:
+    """The axis of a nearly round contact may flip in both fingers at once."""
+    flipped = fuse(jump(89.0, 8.0, axial=True), jump(89.0, 0.3, axial=True))
+    assert flipped is not None
+    assert flipped.rotation_deg is None
+
+
 def test_an_axial_jump_is_confirmed_modulo_180_degrees() -> None:
     both = fuse(jump(89.0, axial=True), jump(89.0, axial=True))
     assert both is not None

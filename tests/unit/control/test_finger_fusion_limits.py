@@ -68,16 +68,17 @@ def test_both_decline() -> None:
 def test_shifts_that_no_object_makes_are_a_contradiction(right_mm: tuple[float, float], opposed: bool) -> None:
     answer = fuse(LEFT, changed(RIGHT, shift_mm=right_mm))
     assert answer is not None
-    assert (answer.conflict is not None) is opposed
+    assert answer.conflict is None
+    assert (answer.shift_conflict is not None) is opposed
     if opposed:
-        assert "shifts contradict each other" in (answer.conflict or "")
+        assert "shifts contradict each other" in (answer.shift_conflict or "")
         larger = max(((9.0, 1.0), (-right_mm[0], -right_mm[1])), key=lambda shift: math.hypot(*shift))
         assert (answer.sideways_mm, answer.shift_mm) == larger
         silent = fuse(
             changed(LEFT, rotation_deg=None, sigma_deg=None), changed(RIGHT, shift_mm=right_mm, sigma_deg=None)
         )
         assert silent is not None
-        assert silent.conflict == answer.conflict
+        assert silent.shift_conflict == answer.shift_conflict
 
 
 def test_the_later_one_is_moved_back_by_its_own_rate() -> None:
