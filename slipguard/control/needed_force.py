@@ -16,11 +16,13 @@ Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
 3. Slip while the object leaves the table. Its far end leads it: the rate is the arm's, not the load's, and no image
    shows r. So the load is searched: each step is r = SEARCH, which ends within a factor of 1 to SEARCH above
    the needed force, in the geometric mean its square root. The arm stands meanwhile, and the load does not grow.
-4. Torsion that returns. A gel whose stiffness is known twists by theta_on = T(N) / (2 k) before anything slips. Up to
-   this share of it a grip is firm, and not tightened. k6 is a log-normal estimate: at first so uncertain that it
-   excuses no rotation. Each object that was lifted and rests in the air without any slip has twisted the gel by a
-   share of theta_on, which narrows it. At each first slip, theta = theta_on also narrows the friction (as far as k6
-   is known): ln theta_on = ln mu - ln k6 + ln(...) is linear in both, so one Kalman update serves them.
+4. Elastic motion. Before anything slips, a gel twists by up to theta_on = T(N) / (2 k), and gives way in shear by up to
+   s_on = mu N a^2 / k (Johnson 3.7: shear and torsion of an incompressible half-space differ by a^2). Up to these, no
+   motion is slip. k6 is a log-normal estimate, and so is mu; the likeliest theta_on is its mode, the median times
+   exp(-spread^2), and at most UNKNOWN_MAX before the first grasp. Each object that was lifted and hangs at rest has
+   twisted the gel by a share of theta_on, which narrows k6. What it rotated until the last step may have been slip,
+   and what it rotated since then has not been; the geometric mean of both counts. The torsion at the first slip
+   narrows the friction as far as k6 is known: ln theta_on = ln mu - ln k6 + ln(...), a Kalman update.
 
 The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: friction and patch cancel. MARGIN is
 added where r was measured. With `friction` and `mass_kg` given, the force of the limit surface counts, too.
@@ -42,14 +44,18 @@ RATIO_LEAST, RATIO_MAX = 1.4, 2.5
 LEVER_MM = 60.0
 """Where no lever is given."""
 STIFFNESS_RADIUS_M = 6e-3
-HELD_SHARE, HELD_SPREAD = 0.4, 0.7
-"""A firm grip uses this share of its torque, and the spread of that (standard deviation of the logarithm)."""
+HELD_SHARE, HELD_SPREAD = 0.33, 0.7
+"""A grip uses this share of its torque, and the spread of that (standard deviation of the logarithm)."""
+STIFFNESS_SPREAD_LEAST = 0.3
+"""However many grasps it was learned from: gels wear, and grips differ in how much of their torque they use."""
+BORNE_MAX_DEG, BORNE_MAX_MM = 15.0, 3.0
+"""No gel is trusted to move further without slip,"""
+UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM = 2.0, 0.4
+"""... and none that no grasp has shown yet to move further than this."""
 ONSET_SPREAD = 0.5
 """Spread of the torsion at the first slip: part of it may have been slip already."""
 TORSION_LEAST_DEG = 0.1
 """A smaller torsion is the estimate's noise: the gel is at least as stiff as this says."""
-SURE = 2.0
-"""So many spreads of the stiffness below its estimate, no torsion is excused."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,18 +70,22 @@ class LogNormal:
         """One standard deviation, about."""
         return self.median * self.spread
 
-    def scaled(self, spreads: float) -> float:
-        """Return the value this many spreads above the median."""
-        return self.median * math.exp(spreads * self.spread)
-
     def moved(self, log_difference: float, total: float) -> LogNormal:
         """Return the estimate after a measurement that differs by this in the logarithm, with this variance in all."""
         gain = self.spread**2 / total
         return LogNormal(self.median * math.exp(gain * log_difference), self.spread * math.sqrt(1.0 - gain))
 
 
-STIFFNESS_PRIOR = LogNormal(0.3, 1.5)
-"""Torsional stiffness of one gel at 6 mm, N m/rad: 0.16 for 0.14 MPa, 50 for a stiff pad."""
+@dataclass(frozen=True, slots=True)
+class ElasticMotion:
+    """How far an object moves in a grip without slip: torsion in degrees, shear in mm."""
+
+    deg: float = 0.0
+    mm: float = 0.0
+
+
+STIFFNESS_PRIOR = LogNormal(0.16, 0.8)
+"""Torsional stiffness of one gel at 6 mm, N m/rad: that of 0.14 MPa, as a DIGIT has; 50 for a stiff pad."""
 FRICTION_PRIOR = LogNormal(0.6, 0.35)
 FRICTION_GIVEN_SPREAD = 0.1
 
@@ -111,33 +121,49 @@ def torque_n_m(force_n: float, friction: float) -> float:
     return FINGERS * torque_limit_n_m(force_n, friction, PAD)
 
 
-def onset_deg(force_n: float, friction: float, stiffness_n_m_rad: float) -> float:
-    """Return the elastic torsion at which a grip begins to slip."""
-    wider = (PAD.contact_radius_m(force_n) / STIFFNESS_RADIUS_M) ** 3
-    return math.degrees(torque_n_m(force_n, friction) / (FINGERS * stiffness_n_m_rad * wider)) if wider > 0.0 else 0.0
+def onset(force_n: float, friction: float, stiffness_n_m_rad: float) -> ElasticMotion:
+    """Return the elastic motion at which a grip begins to slip: by a torque alone, and by a force alone."""
+    radius_m = PAD.contact_radius_m(force_n)
+    if radius_m <= 0.0:
+        return ElasticMotion()
+    gel_n_m_rad = stiffness_n_m_rad * (radius_m / STIFFNESS_RADIUS_M) ** 3
+    deg = math.degrees(torque_n_m(force_n, friction) / (FINGERS * gel_n_m_rad))
+    return ElasticMotion(deg, 1e3 * friction * force_n * radius_m**2 / gel_n_m_rad)
 
 
-def borne_deg(force_n: float, friction: LogNormal, stiffness: LogNormal) -> float:
-    """Return the torsion that this grip certainly bears without slip: near 0 while the stiffness is unknown."""
-    return onset_deg(force_n, friction.scaled(-1.0), stiffness.scaled(SURE))
+def borne(force_n: float, friction: LogNormal, stiffness: LogNormal) -> ElasticMotion:
+    """Return the likeliest elastic motion at which this grip begins to slip: near 0 while the stiffness is unknown."""
+    median = onset(force_n, friction.median, stiffness.median)
+    mode = math.exp(-(friction.spread**2) - stiffness.spread**2)
+    known = stiffness.spread < STIFFNESS_PRIOR.spread
+    most_deg, most_mm = (BORNE_MAX_DEG, BORNE_MAX_MM) if known else (UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM)
+    return ElasticMotion(min(mode * median.deg, most_deg), min(mode * median.mm, most_mm))
 
 
-def after_slip(
-    force_n: float, torsion_deg: float, friction: LogNormal, stiffness: LogNormal
-) -> tuple[LogNormal, LogNormal]:
-    """Return friction and stiffness after the first slip, with the torsion up to which nothing had slipped."""
-    expected_deg = onset_deg(force_n, friction.median, stiffness.median)
+def after_slip(force_n: float, torsion_deg: float, friction: LogNormal, stiffness: LogNormal) -> LogNormal:
+    """Return the friction after the first slip, with the torsion up to which nothing had slipped."""
+    expected_deg = onset(force_n, friction.median, stiffness.median).deg
     difference = math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
-    total = friction.spread**2 + stiffness.spread**2 + ONSET_SPREAD**2
-    return friction.moved(difference, total), stiffness.moved(-difference, total)
+    return friction.moved(difference, friction.spread**2 + stiffness.spread**2 + ONSET_SPREAD**2)
 
 
-def after_hold(force_n: float, torsion_deg: float, friction: LogNormal, stiffness: LogNormal) -> LogNormal:
-    """Return the stiffness after an object has been lifted and rests in the air without any slip."""
-    expected_deg = HELD_SHARE * onset_deg(force_n, friction.median, stiffness.median)
-    difference = math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
-    total = friction.spread**2 + stiffness.spread**2 + HELD_SPREAD**2
-    return stiffness.moved(-difference, total)
+def after_lift(
+    since_grip: tuple[float, float], since_step: tuple[float, float], friction: LogNormal, stiffness: LogNormal
+) -> LogNormal:
+    """Return the stiffness after an object has been lifted and hangs at rest.
+
+    Args:
+        since_grip, since_step: force at the beginning, and rotation in degrees since then.
+    """
+
+    def softer(force_n: float, torsion_deg: float) -> float:
+        expected_deg = HELD_SHARE * onset(force_n, friction.median, stiffness.median).deg
+        return math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
+
+    most, least = softer(*since_grip), softer(*since_step)
+    total = friction.spread**2 + stiffness.spread**2 + HELD_SPREAD**2 + (0.5 * (most - least)) ** 2
+    learned = stiffness.moved(-0.5 * (most + least), total)
+    return LogNormal(learned.median, max(learned.spread, STIFFNESS_SPREAD_LEAST))
 
 
 def load_ratio(rotation_deg: float, rate_deg_s: float, slip_mm: float, rate_mm_s: float, lever_mm: float) -> float:

@@ -14,13 +14,13 @@ SETTLED_SHIFT_MM = 0.3
 """A contact center that wanders less than this is at rest; its noise is about 0.05 mm."""
 SWITCH_SHIFT_MM = 2.5
 """Without a rotation, the shifts of two fingers may differ by this; the shift of a finger errs by as much."""
-SWITCH_MAX_DEG, SWITCH_MAX_MM = 2.0, 0.5
+SWITCH_MAX_DEG = 2.0
 """Two fingers differ by no more than this in total; more is motion of the object."""
 
 
 @dataclass(frozen=True, slots=True)
 class Baselines:
-    """The angles (and downward shifts) from which motion of the object counts. None: unknown.
+    """The angles (and shifts) from which motion of the object counts. None: unknown.
 
         rotation
            ^                            * frame        while the arm is at rest:
@@ -37,6 +37,8 @@ class Baselines:
         resting_deg: where it rests, slowly followed; while the arm moves: where it last rested.
         previous_deg: the frame before, at rest.
         before_motion_deg: where it rested before the arm's motions, as long as none has rotated it.
+        unloaded_deg, unloaded_mm (down and sideways): from where elastic motion counts, the reference or the end of the
+            last slip episode.
     """
 
     episode_deg: float | None = None
@@ -49,6 +51,8 @@ class Baselines:
     before_motion_deg: float | None = None
     sideways_mm: float | None = None
     settled_side_mm: float | None = None
+    unloaded_deg: float | None = 0.0
+    unloaded_mm: tuple[float, float] | None = (0.0, 0.0)
 
     def moved(self, by_deg: float, by_mm: float = 0.0, sideways_mm: float = 0.0) -> Baselines:
         """Return the same baselines as fingers see them whose estimates differ by this offset."""
@@ -63,6 +67,8 @@ class Baselines:
             plus(self.before_motion_deg, by_deg),
             plus(self.sideways_mm, sideways_mm),
             plus(self.settled_side_mm, sideways_mm),
+            plus(self.unloaded_deg, by_deg),
+            None if self.unloaded_mm is None else (self.unloaded_mm[0] + by_mm, self.unloaded_mm[1] + sideways_mm),
         )
 
     def with_settled(self, fused: FusedEstimate, params: GuardParams) -> Baselines:
@@ -117,7 +123,7 @@ class ReportingFingers:
 
     Args:
         names: the fingers of the last estimate. last_deg, last_s: that estimate and when it was captured.
-        total_deg, total_mm: by how much all switches together have moved the baselines.
+        total_deg: by how much all switches together have moved the baselines.
         known: that total for each set of fingers that has reported.
         switch: the last switch, until a second frame has confirmed its offset.
     """
@@ -126,7 +132,6 @@ class ReportingFingers:
     last_deg: float = 0.0
     last_s: float = 0.0
     total_deg: float = 0.0
-    total_mm: float = 0.0
     known: tuple[tuple[tuple[str, ...], float], ...] = ()
     switch: FingerSwitch | None = None
 
@@ -141,7 +146,7 @@ class ShiftFilter:
     def next(self, shift_mm: float | None, passed_s: float) -> ShiftFilter:
         """Return the filter after one more shift. passed_s: since the one before."""
         if shift_mm is None:
-            return ShiftFilter()
+            return replace(self, rate_mm_s=0.0)
         if self.smooth_mm is None:
             return replace(self, smooth_mm=shift_mm)
         if passed_s <= 0.0:

@@ -4,8 +4,8 @@ A gel under load twists and shifts elastically, too, but it comes to rest: rate 
 it. How little counts as slip depends on the arm. An object at rest in the air rotates for one reason only, so a
 fraction of a degree is enough. While the arm moves, the gel twists with the load: by as much as it is twisted already,
 times the change of the load. While an object leaves the table, the gel is loaded for the first time, and no image
-distinguishes that from slip, for the far end still rests on the table. So the grip is raised at each further degree,
-unless the gel is known to twist that far without slip (needed_force.py).
+distinguishes that from slip, for the far end still rests on the table. So the grip is raised at each further degree.
+What the gel is known to move without slip (needed_force.py) is never slip.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import math
 from dataclasses import dataclass, replace
 
 from slipguard.control.finger_fusion import FusedEstimate
+from slipguard.control.needed_force import ElasticMotion
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import SETTLED_SHIFT_MM
 from slipguard.control.slip_memory import ArmCase, SlipMemory
@@ -36,9 +37,17 @@ BEGUN_SHARE = 0.25
 APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
+AGAIN_SHARE = 0.35
+"""After a slip the gel bears all it can, and a step lets it bear this share more: 1 - 1 / SEARCH of needed_force.py.
+Once the object hangs, the load has arrived, and what still moves it is mostly the arm: then all counts again."""
+AHEAD_S = 0.1
+"""While an object leaves the table, what a rate above `slip_rate_deg_s` adds in this time counts, too: a short lever
+rotates at 40 degrees/s."""
 CHANGE_SHARE = 0.5
 """In a lift-off only this share of sigma counts towards the threshold: the rest is the same from frame to frame and
 cancels in a change. At rest there is time to be sure, and the whole sigma counts."""
+
+NO_MOTION = ElasticMotion()
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +59,7 @@ class SlipAssessment:
         rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
         slip_mm, slip_rate_mm_s: distance from that baseline, in any direction, and the rate away from it. slides: by an
             unknown distance.
-        moving: one of the rates is that of slip.
+        moving: one of the rates is that of slip. elastic: the gel bears all of the motion without slip.
         rotates, translates: this frame shows rotational or translational slip.
         slipping: slip is confirmed by enough frames.
         settled_s: the object has been at rest for this time.
@@ -63,6 +72,7 @@ class SlipAssessment:
     slip_rate_mm_s: float = 0.0
     slides: bool = False
     moving: bool = False
+    elastic: bool = False
     rotates: bool = False
     translates: bool = False
     slipping: bool = False
@@ -83,7 +93,7 @@ def assess_slip(
     params: GuardParams,
     *,
     arm: ArmState | None = None,
-    borne_deg: float = 0.0,
+    borne: ElasticMotion = NO_MOTION,
     again_deg: float = TORSION_ON_TABLE_DEG,
     only_outward: bool = False,
 ) -> SlipAssessment:
@@ -94,8 +104,8 @@ def assess_slip(
         fused: the newest estimate; the same one may come several times.
         params: thresholds.
         arm: its newest state; without it every rotation is judged as in motion.
-        borne_deg: elastic torsion that the grip bears without slip. again_deg: further rotation that is slip in a
-            lift-off that has seen slip already.
+        borne: elastic motion that the grip bears without slip. again_deg: further rotation that is slip in a lift-off
+            that has seen slip already.
         only_outward: a rotation back towards the reference is no slip, as when an object is put down.
     """
     is_new = fused.measured_at_s > memory.measured_s  # of both fingers: what one frame shows counts once
@@ -104,14 +114,18 @@ def assess_slip(
     memory, new_rest = _follow(memory, fused, arm, params, putting_down=only_outward)
     memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
-    quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, borne_deg, only_outward)
+    quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, only_outward)
+    elastic = _is_elastic(memory, fused, borne)
+    if elastic:
+        rotates, rests_further_out, quick_frames = False, False, 0
     turns = quick_frames > 0
     slip_mm, rate_mm_s = _slide(memory, fused, only_outward)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
     translates = slip_mm > tuning.slip_mm and (fast or slip_mm > tuning.creep_mm)
-    both = len(fused.shift_fingers) == 2 and fused.conflict is None
-    if fast and slip_mm > PLAIN_SLIDE_TIMES * tuning.slip_mm and both:
+    translates = translates and not elastic
+    both = len(fused.shift_fingers) == 2 and fused.shift_conflict is None
+    if translates and fast and slip_mm > PLAIN_SLIDE_TIMES * tuning.slip_mm and both:
         quick_frames = max(quick_frames, tuning.confirm_frames)
     slides = fused.slides and not only_outward
     translates = translates or slides
@@ -126,6 +140,7 @@ def assess_slip(
         slip_rate_mm_s=rate_mm_s,
         slides=slides,
         moving=rate_deg_s >= tuning.slip_rate_deg_s or fast or slides,
+        elastic=elastic,
         rotates=rotates or rests_further_out or turns,
         translates=translates,
         slipping=memory.frames >= tuning.confirm_frames,
@@ -178,8 +193,13 @@ def _count_from(
     """
     baselines = memory.baselines
     rebased = new_rest or baselines.episode_deg is None
+    unloaded_mm = baselines.unloaded_mm
+    if unloaded_mm is None and fused.shift_mm is not None:
+        unloaded_mm = (fused.shift_mm, fused.sideways_mm or 0.0)
     baselines = replace(
         baselines,
+        unloaded_deg=fused.rotation_deg if baselines.unloaded_deg is None else baselines.unloaded_deg,
+        unloaded_mm=unloaded_mm,
         episode_deg=fused.rotation_deg if rebased else baselines.episode_deg,
         episode_mm=fused.shift_mm if new_rest or baselines.episode_mm is None else baselines.episode_mm,
         sideways_mm=fused.sideways_mm if new_rest or baselines.sideways_mm is None else baselines.sideways_mm,
@@ -258,9 +278,26 @@ def _rotation(
         least_deg = max(least_deg, SWING_SHARE * abs(episode_deg))
     if memory.arm.case is ArmCase.LIFT_OFF and memory.had_rotation:
         # The far end on the table leads the rotation: its rate is the arm's.
-        return rotation_deg, rate_deg_s, rotation_deg > again_deg
+        soon_deg = rotation_deg + AHEAD_S * max(rate_deg_s - tuning.slip_rate_deg_s, 0.0)
+        begun = rotation_deg > memory.quick_threshold_deg(ArmCase.LIFT_OFF, params)
+        return rotation_deg, rate_deg_s, begun and soon_deg > again_deg
     fast = rate_deg_s >= tuning.slip_rate_deg_s
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
+
+
+def _is_elastic(memory: SlipMemory, fused: FusedEstimate, borne: ElasticMotion) -> bool:
+    """Return whether the gel bears this rotation and shift without slip: inside of the limit surface (an ellipse)."""
+    baselines, rotation_deg, shift_mm = memory.baselines, fused.rotation_deg, fused.shift_mm
+    if borne.deg <= 0.0:
+        return False
+    share = 0.0
+    if rotation_deg is not None and baselines.unloaded_deg is not None:
+        share = (rotation_deg - baselines.unloaded_deg) / borne.deg
+    if shift_mm is not None and baselines.unloaded_mm is not None:
+        moved_mm = math.dist(baselines.unloaded_mm, (shift_mm, fused.sideways_mm or 0.0))
+        share = math.hypot(share, moved_mm / borne.mm)
+    arrives = memory.had_slip and memory.arm.case is ArmCase.LIFT_OFF and not memory.arm.hangs
+    return abs(share) <= (AGAIN_SHARE if arrives else 1.0)
 
 
 def _slide(memory: SlipMemory, fused: FusedEstimate, only_outward: bool) -> tuple[float, float]:
@@ -281,7 +318,6 @@ def _quick_frames(
     fused: FusedEstimate,
     params: GuardParams,
     rested_deg: float | None,
-    borne_deg: float,
     only_outward: bool,
 ) -> int:
     """Return for how many frames a rotation from the resting angle counts, where nothing but slip should rotate it.
@@ -297,7 +333,7 @@ def _quick_frames(
         return 0
     away_deg = fused.rotation_deg - rested_deg
     error_share = CHANGE_SHARE if case is ArmCase.LIFT_OFF else 1.0
-    least_deg = memory.quick_threshold_deg(case, params, borne_deg=borne_deg)
+    least_deg = memory.quick_threshold_deg(case, params)
     least_deg = max(least_deg, error_share * uncertainty_deg(fused.sigma_deg, params))
     least_deg *= growth(memory.rotations, params)
     if abs(away_deg) <= least_deg:

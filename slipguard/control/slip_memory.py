@@ -9,8 +9,6 @@ from enum import Enum
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import (
-    SHIFT_TAU_S,
-    SWITCH_MAX_MM,
     SWITCH_SHIFT_MM,
     Baselines,
     FingerSwitch,
@@ -38,6 +36,9 @@ NOISE_START_DEG = 0.06
 NOISE_MAX_DEG = 0.5
 NOISE_TIMES = 6.0
 """A rotation of this many standard deviations of the noise at rest is not noise."""
+HANGS_MM, HANGS_DEG = 12.0, 0.3
+"""An object that rotates by no more than this over this further height hangs free: one whose far end is still on the
+table rotates by 0.7 degrees even if that is 1 m away."""
 STEADY_DEG_S = 3.0
 """A frame with a faster rotation is no resting angle: the rotation goes on, or a frame leapt."""
 
@@ -58,12 +59,17 @@ class ArmContext:
         start_mm: its lowest height. moved_s: when it last moved.
         case: which rotations are to be expected now.
         aloft: the object has left the table since it was gripped or put down.
+        level_mm, level_deg: the height up to which the object rotated, and its rotation there. hangs: the arm has since
+            risen so far without rotating it that it hangs free.
     """
 
     start_mm: float | None = None
     moved_s: float = -math.inf
     case: ArmCase = ArmCase.MOVING
     aloft: bool = False
+    level_mm: float = math.inf
+    level_deg: float = 0.0
+    hangs: bool = False
 
     def next(self, fused: FusedEstimate, arm: ArmState | None, *, putting_down: bool) -> ArmContext:
         """Return the context after one more state of the arm. Without an arm the load may change at any time."""
@@ -78,7 +84,15 @@ class ArmContext:
             elif arm.height_mm - start_mm < LIFT_OFF_MM:
                 case = ArmCase.LIFT_OFF
         aloft = (self.aloft or self.leaves_table(case)) and not putting_down
-        return ArmContext(start_mm, moved_s, case, aloft)
+        level_mm, level_deg = self.level_mm, self.level_deg
+        if arm is not None and fused.rotation_deg is not None:
+            if abs(fused.rotation_deg - level_deg) > HANGS_DEG or arm.height_mm < level_mm:
+                level_mm, level_deg = arm.height_mm, fused.rotation_deg
+            hangs = arm.height_mm - level_mm >= HANGS_MM
+        else:
+            hangs = False
+        hangs = (self.hangs or aloft or hangs) and not putting_down
+        return ArmContext(start_mm, moved_s, case, aloft, level_mm, level_deg, hangs)
 
     def leaves_table(self, case: ArmCase) -> bool:
         """Return whether the object leaves the table with this next case."""
@@ -90,14 +104,14 @@ class SlipMemory:
     """All that is remembered between frames.
 
     Args:
-        shift, sideways, shift_fingers: shift down and to the right, and the fingers that know it.
+        shift, sideways, shift_fingers: shift down and to the right, and the fingers that last knew it.
         switched_mm: by how much all changes of these fingers have moved the baselines of both: 2.5 mm at most.
         measured_s, captured_s: of the newest frame. followed_s: of the newest frame used for the resting angle.
         noise_deg2: variance of the rotation at rest.
         frames, counted_s: frames in a row that show slip, and the newest measurement of the last of them.
         far_frames: frames in a row beyond `rotation_max_deg`.
-        rotations, translations: slip episodes of either kind that were answered with force.
-        had_rotation: an episode of rotational slip is over, answered or not.
+        rotations: episodes of rotational slip that were answered with force.
+        had_rotation, had_slip: an episode of rotational slip, or of any slip, is over, answered or not.
     """
 
     baselines: Baselines = field(default_factory=Baselines)
@@ -115,8 +129,8 @@ class SlipMemory:
     counted_s: float = -math.inf
     far_frames: int = 0
     rotations: int = 0
-    translations: int = 0
     had_rotation: bool = False
+    had_slip: bool = False
 
     def counts_from_elsewhere(self, before: SlipMemory) -> bool:
         """Return whether rotations count from another angle than before, or come from other fingers."""
@@ -127,7 +141,7 @@ class SlipMemory:
             return now_deg is not before_deg
         return abs((now_deg - self.fingers.total_deg) - (before_deg - before.fingers.total_deg)) > SAME_DEG
 
-    def after_episode(self, *, rotated: bool, translated: bool, raised: bool) -> SlipMemory:
+    def after_episode(self, *, rotated: bool, raised: bool) -> SlipMemory:
         """Return the memory after an episode: only further motion counts. raised: it was answered with force."""
         baselines = replace(
             self.baselines,
@@ -136,6 +150,8 @@ class SlipMemory:
             sideways_mm=None,
             resting_deg=None,
             before_motion_deg=None,
+            unloaded_deg=None,
+            unloaded_mm=None,
         )
         return replace(
             self,
@@ -143,22 +159,18 @@ class SlipMemory:
             fingers=replace(self.fingers, switch=None),
             frames=0,
             rotations=self.rotations + (rotated and raised),
-            translations=self.translations + (translated and raised),
             had_rotation=self.had_rotation or rotated,
+            had_slip=True,
         )
 
-    def quick_threshold_deg(self, case: ArmCase, params: GuardParams, *, borne_deg: float = 0.0) -> float:
+    def quick_threshold_deg(self, case: ArmCase, params: GuardParams) -> float:
         """Return the rotation that is slip where nothing else rotates the object: at rest, or in the first lift-off.
 
         It is the configured threshold, but at least NOISE_TIMES the noise learned at rest: 0.36 degrees at first.
-
-        borne_deg: elastic torsion that the grip bears without slip; once in the air, the load has arrived.
         """
         given_deg = params.tuning.tighten_at_rest_deg
         if case is ArmCase.LIFT_OFF:
             given_deg = params.tuning.tighten_at_lift_off_deg
-        if not self.arm.aloft:
-            given_deg = max(given_deg, borne_deg)
         return max(given_deg, NOISE_TIMES * min(math.sqrt(self.noise_deg2), NOISE_MAX_DEG))
 
     def switched(self, fused: FusedEstimate) -> SlipMemory:
@@ -169,7 +181,7 @@ class SlipMemory:
         wrong frame must not stay in the offset: of two frames, and of the distance from the resting angle and from the
         last estimate, the smallest counts.
         """
-        if fused.shift_fingers != self.shift_fingers:
+        if fused.shift_fingers and fused.shift_fingers != self.shift_fingers:
             return self._shifts_switched(fused).switched(fused)
         fingers = self.fingers
         if fused.rotation_deg is None:
@@ -187,22 +199,15 @@ class SlipMemory:
             switch = FingerSwitch(fingers.last_deg, fingers.last_s, self.baselines.resting_deg if at_rest else None)
             by_deg = switch.offset_deg(fused, fingers.total_deg)
             switch = replace(switch, by_deg=by_deg, newest_at_s=fused.newest_at_s)
-        total_mm, shift = fingers.total_mm, self.shift
-        if fused.shift_mm is not None and shift.smooth_mm is not None:
-            moved_mm = shift.rate_mm_s * SHIFT_TAU_S
-            total_mm = within(fingers.total_mm + fused.shift_mm - shift.smooth_mm - moved_mm, SWITCH_MAX_MM)
-            shift = replace(shift, smooth_mm=shift.smooth_mm + (total_mm - fingers.total_mm))
         fingers = ReportingFingers(
             fused.fingers,
             fingers.last_deg + by_deg,
             fingers.last_s,
             fingers.total_deg + by_deg,
-            total_mm,
             tuple(known.items()),
             switch,
         )
-        baselines = self.baselines.moved(by_deg, total_mm - self.fingers.total_mm)
-        return replace(self, fingers=fingers, shift=shift, baselines=baselines)
+        return replace(self, fingers=fingers, baselines=self.baselines.moved(by_deg))
 
     def _shifts_switched(self, fused: FusedEstimate) -> SlipMemory:
         """Return the memory for the fingers that know the shift now: a finger that drops out is no slide."""

@@ -13,13 +13,19 @@ from slipguard.control.messages import Observation
 from slipguard.control.needed_force import LogNormal, NeededForce
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Message, Text
-from slipguard.control.slip_detector import TORSION_ON_TABLE_DEG, SlipAssessment, assess_slip, uncertainty_deg
+from slipguard.control.slip_detector import (
+    AGAIN_SHARE,
+    TORSION_ON_TABLE_DEG,
+    SlipAssessment,
+    assess_slip,
+    uncertainty_deg,
+)
 from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, SlipEpisode, gripper_at_rest
 
-AGAIN_DEG, AGAIN_SHARE = 2.5, 0.5
-"""While an object leaves the table, the grip is raised again after this further rotation, or this share of the torsion
-that it bears without slip."""
+AGAIN_DEG = 2.5
+"""While an object leaves the table, the grip is raised again after this further rotation, or after what the gel bears.
+"""
 SLOWING = 0.8
 """A rate below this share of that at the last step shows that the step works."""
 PROGRESS_DEG = 1.0
@@ -68,7 +74,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     held = state.held
     if observation.fused is None or not state.guarding:
         return SlipResponse(state, stop_arm=held.slip is not None)
-    borne_deg = needed_force.borne_deg(state.grip.target_n, _friction(state, params), state.gel)
+    borne = needed_force.borne(state.grip.target_n, _friction(state, params), state.gel)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     at_limit = force_range is None or state.grip.target_n >= force_range.high_n
     seen = assess_slip(
@@ -76,8 +82,8 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
         observation.fused,
         params,
         arm=observation.arm,
-        borne_deg=borne_deg,
-        again_deg=TORSION_ON_TABLE_DEG if at_limit else max(AGAIN_DEG, AGAIN_SHARE * borne_deg),
+        borne=borne,
+        again_deg=TORSION_ON_TABLE_DEG if at_limit else max(AGAIN_DEG, AGAIN_SHARE * borne.deg),
         only_outward=state.phase is Phase.LOWERING or state.arm.putting_down,
     )
     slip = held.slip
@@ -94,9 +100,9 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     if slip is None:
         if seen.slipping:
             return _begin(state, seen, observation, params)
-        return SlipResponse(_learn_from_hold(state, seen, observation, params))
+        return SlipResponse(_learn_from_lift(state, seen, observation, params))
     if _has_settled(state, slip, seen, observation, params):
-        memory = seen.memory.after_episode(rotated=slip.rotates, translated=slip.translates, raised=slip.raised)
+        memory = seen.memory.after_episode(rotated=slip.rotates, raised=slip.raised)
         state = replace(state, held=replace(state.held, memory=memory, slip=None))
         return SlipResponse(state, message=Text.SETTLED.message(force_n=state.grip.target_n))
     answer = _go_on(state, slip, seen, observation, params)
@@ -107,7 +113,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
 
 def _begin(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
     """Take the first step."""
-    state = _learn_from_slip(state, observation, params)
+    state = _learn_from_slip(state, seen, observation, params)
     now_s = observation.now_s
     slip = SlipEpisode(now_s, now_s, seen.rotation_deg, seen.rate_deg_s, seen.slip_mm)
     return _tighten(state, slip, seen, observation, params)
@@ -122,7 +128,7 @@ def _go_on(
         return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
     rotated_deg, moved_mm = seen.rotation_deg - slip.rotation_deg, seen.slip_mm - slip.slip_mm
     slips_on = seen.slides or (seen.moving and (rotated_deg > PROGRESS_DEG or moved_mm > PROGRESS_MM))
-    if not (slips_on or rotated_deg > _crept_deg(observation, params) or moved_mm > CREPT_MM):
+    if seen.elastic or not (slips_on or rotated_deg > _crept_deg(observation, params) or moved_mm > CREPT_MM):
         return wait
     at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
@@ -179,7 +185,6 @@ def _tighten(
     slip = replace(
         _progress_from(slip, seen, with_rate=True),
         rotates=slip.rotates or seen.rotates,
-        translates=slip.translates or seen.translates,
         raised=slip.raised or target_n > present_n,
         tightened_s=observation.now_s,
     )
@@ -207,24 +212,33 @@ def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams) 
     )
 
 
-def _learn_from_slip(state: GraspState, observation: Observation, params: GuardParams) -> GraspState:
-    """Return the state with what the torsion at the first slip says about friction and gel."""
-    if state.held.friction is not None or not observation.rotation_deg or state.grip.target_n <= 0.0:
-        return state
-    known = _friction(state, params), state.gel
-    friction, gel = needed_force.after_slip(state.grip.target_n, observation.rotation_deg, *known)
-    return replace(state, held=replace(state.held, friction=friction, gel_learned=True), gel=gel)
-
-
-def _learn_from_hold(
+def _learn_from_slip(
     state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
 ) -> GraspState:
-    """Return the state with what the torsion of an object that has been lifted without any slip says about the gel."""
-    context = seen.memory.arm
-    rests = context.aloft and context.case is ArmCase.REST and seen.settled_s >= REST_S
+    """Return the state with what the torsion at the first slip says about the friction."""
+    if state.held.first_n is None:
+        state = replace(state, held=replace(state.held, first_n=state.grip.target_n))
+    if state.held.friction is not None or not seen.rotates or state.grip.target_n <= 0.0:
+        return state
+    known = _friction(state, params), state.gel
+    friction = needed_force.after_slip(state.grip.target_n, observation.rotation_deg, *known)
+    return replace(state, held=replace(state.held, friction=friction))
+
+
+def _learn_from_lift(
+    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
+) -> GraspState:
+    """Return the state with what the torsion of an object that has been lifted says about the gel."""
+    context, from_deg = seen.memory.arm, seen.memory.baselines.unloaded_deg
+    rests = context.hangs and context.case is ArmCase.REST and seen.settled_s >= REST_S
+    rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
     if state.held.gel_learned or not rests or not state.held.referenced or state.grip.target_n <= 0.0:
         return state
-    gel = needed_force.after_hold(state.grip.target_n, observation.rotation_deg, _friction(state, params), state.gel)
+    if rotation_deg is None or from_deg is None:
+        return state
+    since_grip = state.held.first_n or state.grip.target_n, abs(rotation_deg)
+    since_step = state.grip.target_n, abs(rotation_deg - from_deg)
+    gel = needed_force.after_lift(since_grip, since_step, _friction(state, params), state.gel)
     return replace(state, held=replace(state.held, gel_learned=True), gel=gel)
 
 

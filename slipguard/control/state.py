@@ -93,7 +93,7 @@ class SlipEpisode:
     Args:
         began_s, tightened_s: when it began, and when it was last tightened.
         rotation_deg, rate_deg_s, slip_mm: at the last tightening, or where progress counts from since then.
-        rotates, translates: rotational or translational slip was seen, or both.
+        rotates: rotational slip was seen.
         raised: the force was raised.
     """
 
@@ -103,7 +103,6 @@ class SlipEpisode:
     rate_deg_s: float
     slip_mm: float
     rotates: bool = False
-    translates: bool = False
     raised: bool = False
 
 
@@ -116,7 +115,8 @@ class HeldObject:
         memory: of the slip detector. slip: the present episode.
         lost_since_s: since when it seems to be lost.
         at_limit_deg: rotation when the gripper first held with the force limit; None: it does not.
-        friction: estimated at its first slip; None: not yet. gel_learned: this grasp has shown the gel's stiffness.
+        first_n: force at its first slip; None: not yet. friction: estimated then.
+        gel_learned: this grasp has shown the gel's stiffness.
     """
 
     referenced: bool = False
@@ -125,6 +125,7 @@ class HeldObject:
     slip: SlipEpisode | None = None
     lost_since_s: float | None = None
     at_limit_deg: float | None = None
+    first_n: float | None = None
     friction: LogNormal | None = None
     gel_learned: bool = False
 

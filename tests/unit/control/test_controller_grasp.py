@@ -190,7 +190,7 @@ def test_without_an_estimate_a_firm_grip_or_one_near_a_person_is_kept() -> None:
 def test_without_an_estimate_translational_slip_is_still_met() -> None:
     play = without_estimate(PARAMS)
     before_n = play.grasp.grip.target_n
-    for number in range(6):
+    for number in range(9):
         play.view = changed(play.view, shift_mm=0.3 * number)
         play.step()
     assert play.grasp.grip.target_n > before_n

@@ -46,7 +46,7 @@ def test_a_grasp_uses_it_and_so_does_the_first_step() -> None:
     gentle.view = changed(gentle.view, fingers=("left", "right"), shift_mm=0.0, declined=None)
     gentle.steps(0.6)
     gentle.here = arm()
-    assert gentle.slips(1.0, 10.0).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
+    assert gentle.slips(3.0, 10.0).hold_force_n == pytest.approx(params.modelled_n or 0.0, abs=0.85)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from observations import arm, fused
 from records import changed, slip_memory
 
 from slipguard.control.finger_fusion import FusedEstimate
+from slipguard.control.needed_force import ElasticMotion
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import FingerSwitch
 from slipguard.control.slip_detector import SlipAssessment, assess_slip
@@ -18,8 +19,8 @@ from slipguard.devices import ArmState
 PARAMS = GuardParams()
 NOW_S = 10.05
 BEFORE = slip_memory(
-    episode_deg=4.0, episode_mm=1.0, measured_s=10.0, captured_s=10.0, rotations=0, translations=0,
-    names=("left", "right"), last_deg=5.0, last_s=10.0, total_deg=0.1, total_mm=0.05, smooth_mm=1.2,
+    episode_deg=4.0, episode_mm=1.0, measured_s=10.0, captured_s=10.0, rotations=0,
+    names=("left", "right"), last_deg=5.0, last_s=10.0, total_deg=0.1, smooth_mm=1.2,
     rate_mm_s=2.0, settled_deg=4.9, settled_mm=1.1, settled_since_s=9.0,
     start_mm=0.0, resting_deg=4.5, previous_deg=4.6, before_motion_deg=4.4, followed_s=10.0,
 )  # fmt: skip
@@ -45,7 +46,9 @@ def stands(height_mm: float = 200.0) -> ArmState:
 
 def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
     """0.8 degrees further, of which the object has rotated 0.6; 0.3 mm, of which it has moved 0.1."""
-    sight = assess_slip(BEFORE, observation(5.8, 12.0, fingers=("left",), shift_mm=1.5), PARAMS)
+    before = changed(BEFORE, shift_fingers=("left", "right"))
+    seen = observation(5.8, 12.0, fingers=("left",), shift_mm=1.5, shift_fingers=("left",))
+    sight = assess_slip(before, seen, PARAMS)
     smooth_mm = 1.4 + (1.0 - math.exp(-1.0)) * 0.1
     rate_mm_s = (1.5 - smooth_mm) / 0.05
     assert sight == SlipAssessment(
@@ -58,8 +61,11 @@ def test_a_change_of_finger_moves_every_place_that_is_remembered() -> None:
             last_deg=5.8,
             last_s=NOW_S,
             total_deg=pytest.approx(0.3),
-            total_mm=pytest.approx(0.25),
             known=((("left", "right"), 0.1),),
+            shift_fingers=("left",),
+            switched_mm=(pytest.approx(0.2), 0.0),
+            unloaded_deg=pytest.approx(0.2),
+            unloaded_mm=(pytest.approx(0.2), 0.0),
             switch=FingerSwitch(5.0, 10.0, None, pytest.approx(0.2), NOW_S),
             smooth_mm=pytest.approx(smooth_mm),
             rate_mm_s=pytest.approx(rate_mm_s),
@@ -91,7 +97,7 @@ def test_the_same_estimate_again_is_the_same_frame() -> None:
 def test_a_finger_without_rate_or_shift_is_taken_as_it_is() -> None:
     after = assess_slip(BEFORE, observation(5.3, None, fingers=("right",), shift_mm=None), PARAMS).memory
     assert (after.baselines.episode_deg, after.fingers.total_deg) == (pytest.approx(4.3), pytest.approx(0.4))
-    assert (after.baselines.episode_mm, after.fingers.total_mm, after.shift.smooth_mm) == (1.0, 0.05, None)
+    assert (after.baselines.episode_mm, after.shift.smooth_mm, after.shift.rate_mm_s) == (1.0, 1.2, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +204,7 @@ def test_a_baseline_of_these_fingers_is_not_moved_by_the_second_frame() -> None:
     assert (first.baselines.episode_deg, first.fingers.switch) == (6.0, None)
     waits = assess_slip(BEFORE, observation(5.2, fingers=LEFT), PARAMS).memory
     assert waits.fingers.switch is not None
-    assert waits.after_episode(rotated=False, translated=False, raised=False).fingers.switch is None
+    assert waits.after_episode(rotated=False, raised=False).fingers.switch is None
     assert (
         assess_slip(waits, observation(5.0, fingers=BOTH, measured_at_s=NOW_S + 0.01), PARAMS).memory.fingers.switch
         is None
@@ -250,13 +256,16 @@ def test_motion_counts_from_where_the_arm_comes_to_rest() -> None:
 
 def test_an_end_of_an_episode_forgets_the_places_and_nothing_else() -> None:
     before = changed(BEFORE, frames=2, far_frames=1)
-    assert before.after_episode(rotated=False, translated=False, raised=True) == changed(
+    assert before.after_episode(rotated=False, raised=True) == changed(
         before,
         episode_deg=None,
         episode_mm=None,
         frames=0,
         resting_deg=None,
         before_motion_deg=None,
+        unloaded_deg=None,
+        unloaded_mm=None,
+        had_slip=True,
     )
 
 
@@ -264,7 +273,7 @@ def test_by_default_no_torsion_is_borne_and_rotation_back_is_slip() -> None:
     lifting = at_rest(0.0, start_mm=0.0, resting_deg=0.0, followed_s=10.0, case=ArmCase.LIFT_OFF, aloft=False)
     rising = arm(10.0, moving=True, at_s=NOW_S)
     assert assess_slip(lifting, observation(0.8), PARAMS, arm=rising).rotates
-    assert not assess_slip(lifting, observation(0.8), PARAMS, arm=rising, borne_deg=1.0).rotates
+    assert not assess_slip(lifting, observation(0.8), PARAMS, arm=rising, borne=ElasticMotion(1.0, 9.0)).rotates
     assert assess_slip(at_rest(5.0), observation(4.0), PARAMS, arm=stands()).rotates
     assert not assess_slip(at_rest(5.0), observation(4.0), PARAMS, arm=stands(), only_outward=True).rotates
 
