@@ -31,6 +31,8 @@ from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
 
 SEGMENT_S = 0.11
 """The network runs again after this time at the latest: on every seventh frame at 60 Hz."""
+STILL_SEGMENT_S = 1.0
+"""The same, if the image has not changed since the network last ran."""
 
 
 class ContactSegmenter(Protocol):
@@ -168,6 +170,15 @@ class Pipeline:
         if not math.isfinite(now_s):
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
 
+        unchanged = self._changes is not None and self._changes.unchanged(blocks)
+        if self._changes is not None and self._changes.restored:
+            self._measured = self._whole = None
+        repeated = self._repeat(frame, timer) if unchanged else None
+        if repeated is not None:
+            self._torn.note_good(image, now_s)
+            timer.mark("gate")
+            return repeated
+
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
             self._torn.note_good(image, now_s)
             self._forget_measured()
@@ -175,16 +186,8 @@ class Pipeline:
             timer.mark("gate")
             return self._declined(frame, DeclineReason.NO_CONTACT, timer, skipped=str(DeclineReason.NO_CONTACT))
 
-        unchanged = self._changes is not None and self._changes.unchanged(blocks)
-        if self._changes is not None and self._changes.restored:
-            self._measured = None
-        repeated = self._repeat(frame) if unchanged else None
         timer.mark("gate")
-        if repeated is not None:
-            self._torn.note_good(image, now_s)
-            return replace(repeated, stage_ms=timer.stage_ms)
-
-        by_texture = self._measure_texture(image, blocks, frame, timer)
+        by_texture = self._measure_texture(image, blocks, frame, unchanged, timer)
         if by_texture is not None:  # even in a torn frame: a texture that has moved as a whole is in between its parts
             self._torn.note_good(image, now_s)
             self._note_measured(blocks, self._whole.near if self._whole is not None else None, unchanged, by_texture)
@@ -226,13 +229,14 @@ class Pipeline:
         return estimate
 
     def _measure_texture(
-        self, image: NDArray[np.uint8], blocks: Blocks, frame: Frame, timer: StageTimer
+        self, image: NDArray[np.uint8], blocks: Blocks, frame: Frame, unchanged: bool, timer: StageTimer
     ) -> Estimate | None:
         """Return the estimate by the texture alone, if the contact has only moved since it was segmented."""
         whole, patch, now_s = self._whole, self._patch, frame.captured_at_s
         if whole is None or patch is None or not self._skips.whole:
             return None
-        if not 0.0 <= now_s - whole.estimate.captured_at_s < SEGMENT_S:
+        still = unchanged and self._changes is not None and whole.estimate.captured_at_s >= self._changes.since_s
+        if not 0.0 <= now_s - whole.estimate.captured_at_s < (STILL_SEGMENT_S if still else SEGMENT_S):
             return None
         if self._gate.changed(blocks, whole.blocks, ~whole.around):
             return None
@@ -318,7 +322,7 @@ class Pipeline:
                 f"frame {frame.sequence} is torn at {tear}: its parts are from different captures; it is skipped"
             )
 
-    def _repeat(self, frame: Frame) -> Estimate | None:
+    def _repeat(self, frame: Frame, timer: StageTimer) -> Estimate | None:
         """Return the last estimate for an unchanged image, if it is recent, and the contact clear and long at rest."""
         last, changes, now_s = self._measured, self._changes, frame.captured_at_s
         if last is None or changes is None or not 0.0 <= now_s - last.measured_at_s < self._settings.refresh_s:
@@ -331,7 +335,14 @@ class Pipeline:
         if last.rotation_deg is not None:
             self._meter.note_unchanged(now_s)
             rate = self._meter.rate_deg_s(now_s)
-        return replace(last, sequence=frame.sequence, captured_at_s=now_s, rate_deg_s=rate, skipped=UNCHANGED)
+        return replace(
+            last,
+            sequence=frame.sequence,
+            captured_at_s=now_s,
+            rate_deg_s=rate,
+            skipped=UNCHANGED,
+            stage_ms=timer.stage_ms,
+        )
 
     def _declined(self, frame: Frame, declined: str, timer: StageTimer, skipped: str | None = None) -> Estimate:
         """Return an estimate without a rotation; a reference that is not taken yet needs a new run of stable frames."""

@@ -117,6 +117,11 @@ class ChangeDetector:
         """Whether the last image equals the one before the last change: that change was a glitch, and estimates
         measured since then are not valid for it."""
 
+    @property
+    def since_s(self) -> float:
+        """When the image last changed; infinity if no image is kept."""
+        return math.inf if self._kept is None else self._kept.since_s
+
     def reset(self) -> None:
         """Forget the kept image: the next image counts as a change."""
         self._kept = self._previous = None
