@@ -29,8 +29,8 @@ from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
 
-SEGMENT_S = 0.11
-"""The network runs again after this time at the latest: on every seventh frame at 60 Hz."""
+SEGMENT_S = 0.2
+"""The network runs again after this time at the latest: on every twelfth frame at 60 Hz."""
 STILL_SEGMENT_S = 1.0
 """The same, if the image has not changed since the network last ran."""
 

@@ -103,12 +103,11 @@ class ContactGate:
 
     def changed(self, blocks: Blocks, before: Blocks, within: NDArray[np.bool_]) -> bool:
         """Return whether any of some blocks, (1200,) bool, has changed by more than noise and an even light."""
-        difference = (blocks - before)[within]
-        if not len(difference):
-            return False
-        difference -= difference.mean(axis=0)
+        weight = within.astype(np.float32)
+        difference = blocks - before
+        difference -= weight @ difference / max(float(weight.sum()), 1.0)
         difference *= self.inverse_std
-        return bool(np.einsum("ij,ij->i", difference, difference).max() > 2.0 * self._limit)
+        return bool((np.einsum("ij,ij->i", difference, difference) * weight).max() > 2.0 * self._limit)
 
     def may_be_contact(self, blocks: Blocks) -> bool:
         """Return False if only noise and a drift of the light (level and slope) separate (1200, 3) blocks from it."""

@@ -67,6 +67,7 @@ class ShiftMeter:
     def __init__(self, template: TextureTemplate | None, patch: Patch) -> None:
         self._template = template
         self._patch = patch
+        self._center_px = patch.center_px
         self._period: tuple[tuple[float, float] | None] | None = None
         self._recent: deque[tuple[float, float, float]] = deque()
         self._beyond_px = (0.0, 0.0)
@@ -122,14 +123,14 @@ class ShiftMeter:
         """Return the shift at the grasp axis from that of the reference contact's center, for a rotation since then."""
         if shift.shift_px is None:
             return shift
-        (x, y), center_px = shift.shift_px, self._patch.center_px
+        (x, y), center_px = shift.shift_px, self._center_px
         before = (GRASP_AXIS_PX[0] - center_px[0], GRASP_AXIS_PX[1] - center_px[1])
         after = rotated(before, rotation_deg)
         return replace(shift, shift_px=(x + after[0] - before[0], y + after[1] - before[1]))
 
     def _suspect_direction(self, patch: Patch, shift_px: tuple[float, float]) -> Direction | None:
         """Return the direction in which the ends are to be measured: the center has moved differently, or is cut."""
-        (x, y), (before_x, before_y) = patch.center_px, self._patch.center_px
+        (x, y), (before_x, before_y) = patch.center_px, self._center_px
         beyond = (x - before_x - shift_px[0], y - before_y - shift_px[1])
         for way in (beyond, shift_px) if patch.clipped.any else (beyond,):
             length_px = math.hypot(*way)

@@ -1,0 +1,74 @@
+"""Which frames of a contact run the network: few at rest, few while it moves as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from slipguard.devices import Frame
+from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.estimate import Estimate
+from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.catalogue import find_object
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import random_unit
+
+FPS = 60.0
+FIRST_FRAMES = 12
+"""Before these have passed, the reference is taken."""
+
+
+class CountedSegmenter(Segmenter):
+    """Counts how often the network runs."""
+
+    calls = 0
+
+    def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+        self.calls += 1
+        return super().segment(image, background)
+
+
+def measured(
+    name: str, frames: int, angle_deg: Callable[[float], float], growth: float = 0.0
+) -> tuple[int, list[tuple[Estimate, float]]]:
+    """Return how often the network ran after the first frames, and each estimate since then with the true rotation.
+
+    growth: by which share the object sinks deeper within the first 0.3 s.
+    """
+    unit = random_unit(np.random.default_rng(3))
+    camera, segmenter = GelCamera(unit, seed=3), CountedSegmenter()
+    pipeline = Pipeline(segmenter, PerceptionSettings(), camera.no_contact(), unit.noise_bgr, unit.px_per_mm)
+    press_mm, first, found = 0.5 * find_object(name).press_mm, 0, []
+    for k in range(FIRST_FRAMES + frames):
+        if k == FIRST_FRAMES:
+            first = segmenter.calls
+        at_s = max(k - FIRST_FRAMES, 0) / FPS
+        rotation_deg, depth_mm = angle_deg(at_s), press_mm * (1.0 + growth * min(at_s / 0.3, 1.0))
+        view = GelView(name, 0.5, 0.5, 30.0 + rotation_deg, depth_mm)
+        estimate = pipeline.process(Frame(camera.draw(view), k / FPS, k))
+        if k >= FIRST_FRAMES:
+            found.append((estimate, rotation_deg))
+    return segmenter.calls - first, found
+
+
+def test_at_rest_the_network_runs_once_a_second() -> None:
+    calls, found = measured("wrench", 130, lambda _: 0.0)
+    assert calls <= 4
+    assert all(estimate.rotation_deg == pytest.approx(0.0, abs=0.2) for estimate, _ in found)
+    assert sum(estimate.skipped is None for estimate, _ in found) < 60
+
+
+def test_a_texture_that_is_uncertain_carries_the_rotation_on() -> None:
+    calls, found = measured("bar", 48, lambda at_s: 25.0 * at_s, growth=0.4)
+    uncertain = [one for one, _ in found if not one.segmented and (one.sigma_deg or 0.0) > 0.8]
+    assert calls <= 8
+    assert len(uncertain) >= 10
+    for estimate, rotation_deg in found:
+        assert estimate.rotation_deg is not None
+        assert estimate.sigma_deg is not None
+        assert abs(estimate.rotation_deg - rotation_deg) < 3.0 * estimate.sigma_deg
