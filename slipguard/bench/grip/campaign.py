@@ -13,7 +13,7 @@ from slipguard.tools.parallel import Workers, each
 
 QUICK_SCENARIOS, FULL_SCENARIOS = 48, 180
 QUICK_RENDERED, FULL_RENDERED = 4, 40
-"""Scenarios that also run with rendered frames and the shipped pipeline."""
+"""Scenarios with a weak first grip that also run with rendered frames and the shipped pipeline."""
 QUICK_ADDED, FULL_ADDED = 24, 120
 """Scenarios in which mass is added on the grip axis."""
 QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
@@ -117,8 +117,9 @@ def run(
     plan: CampaignPlan, workers: Workers, progress: Callable[[float], None] = lambda share: None
 ) -> GripCampaignResult:
     """Run everything; progress(share done) is called repeatedly."""
-    every = max(len(plan.scenarios) // max(plan.rendered, 1), 1)
-    drawn = {one.number for one in plan.scenarios[::every]} if plan.rendered else set()
+    weak = [one.number for one in plan.scenarios if one.weak]
+    every = max(len(weak) // max(plan.rendered, 1), 1)
+    drawn = set(weak[::every][: plan.rendered])
     work = partial(run_scenario, plant=plan.plant, hold_s=plan.hold_s)
     items = sorted(((one, one.number in drawn) for one in plan.scenarios), key=lambda item: not item[1])
     slides = added_mass_scenarios(plan.added, plan.seed)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel
 from slipguard.bench.grip.controllers import (
@@ -71,7 +72,7 @@ class GripOutcome:
             `DROPPED_DEG` and `DROPPED_MM`.
         force_n: Largest true force.
         arrested_s: Time from the first slip to the last; None without slip.
-        answered_s: Time from the first slip to the next command or fault; None without either.
+        answered_s: Time from the first slip under the last load to the next command or fault; None without either.
         tightenings: Forces commanded from lift-off until rest; held: those of the hold afterwards.
         early: Whether it tightened before any slip.
         up: Whether the lift reached its height.
@@ -222,7 +223,7 @@ class _Run:
 
     def __init__(self, scenario: GripScenario, loop: ClosedLoop) -> None:
         self._scenario, self._loop = scenario, loop
-        self._begun_s = self._held_s = math.inf
+        self._begun_s = self._held_s = self._loaded_s = math.inf
         controller = loop.controller
         self._watches = not isinstance(controller, UnguardedController) or type(controller) is not UnguardedController
 
@@ -309,6 +310,7 @@ class _Run:
     def _known(self, needed_n: float) -> None:
         """Give the bounds the force of the load that arrives now. The reactive one leaves a grip that holds it."""
         controller, gripper, truth = self._loop.controller, self._scenario.pose.gripper, self._loop.truth()
+        self._loaded_s = truth.time_s
         if not isinstance(controller, Clairvoyant):
             return
         margin = BOUND_MARGIN
@@ -332,6 +334,19 @@ class _Run:
 
         loop.until(over, limit_s)
 
+    def _answered_s(self, times: NDArray[np.float64], slips: NDArray[np.float64]) -> float | None:
+        """Return the time from the first slip since the last load began to arrive to the next command or fault."""
+        after = times >= self._loaded_s
+        slipped = times[after][slips[after] > slips[after][:1] + SLIPPED_DEG]
+        if slipped.size == 0:
+            return None
+        answers_s = [
+            at_s - float(slipped[0])
+            for at_s, output in self._loop.outputs
+            if at_s >= slipped[0] and (output.hold_force_n is not None or output.fault is not None)
+        ]
+        return min(answers_s, default=None)
+
     def outcome(self, controller: str) -> GripOutcome:
         loop, scenario = self._loop, self._scenario
         truth, trace = loop.truth(), loop.trace
@@ -342,10 +357,6 @@ class _Run:
         moved = times[(slips > SLIPPED_DEG) & (slips < final - SLIPPED_DEG)]
         arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
         commanded_s = [at_s for at_s, output in loop.outputs if output.hold_force_n is not None]
-        answers_s = [
-            at_s for at_s, output in loop.outputs if output.hold_force_n is not None or output.fault is not None
-        ]
-        answers_s = [at_s - first_slip_s for at_s in answers_s if first_slip_s is not None and at_s >= first_slip_s]
         tightened_s = [at_s for at_s in commanded_s if at_s >= self._begun_s]
         grasp = loop.controller.state.grasp if isinstance(loop.controller, SlipguardController) else None
         lost = truth.dropped is not None
@@ -362,6 +373,6 @@ class _Run:
             dropped=truth.dropped,
             fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
             up=scenario.event == "support gone" or truth.height_mm >= LIFT_MM - REACHED_MM or self._held_s < math.inf,
-            answered_s=min(answers_s, default=None),
+            answered_s=self._answered_s(times, slips),
             messages=tuple(loop.messages),
         )
