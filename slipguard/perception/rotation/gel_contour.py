@@ -40,7 +40,7 @@ ALIGNED_DEG = 20.0
 DOME_ASPECT_MAX = 5.0
 """Largest aspect of a dome's height lines."""
 LEAN_FREE = 0.03
-LEAN_SMOOTH_DEG, LEAN_DEG = 15.0, 3.0
+LEAN_SMOOTH_DEG, LEAN_DEG = 6.0, 3.0
 """Sigma of the rotation per change of strength from one side to the other, beyond a free amount: an object that is
 tilted rolls, and the imprint of a bent smooth body then rotates although the body does not; edges roll less. Without a
 tilt the change is 0.02-0.15. Chosen on rocking training objects."""

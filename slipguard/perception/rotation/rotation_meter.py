@@ -298,7 +298,8 @@ class RotationMeter:
         growth = patch.area_px / max(reference.patch.area_px, 1)
         factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
         moved_px = 0.0 if shift.shift_px is None else math.hypot(*shift.shift_px)
-        rotation = reference.contour.check(rotation, patch, factor, 0.0 if found is None else found.lean, moved_px)
+        twist_deg, lean = (0.0, 0.0) if found is None else (found.twist_deg, found.lean)
+        rotation = reference.contour.check(rotation.widened(twist_deg), patch, factor, lean, moved_px)
         if self._reader is None and rotation.sigma_deg is not None:
             rotation = replace(rotation, sigma_deg=UNKNOWN_SIGMAS * factor * rotation.sigma_deg)
         limit = self._settings.sigma_max_deg

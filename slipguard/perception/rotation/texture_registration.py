@@ -114,8 +114,8 @@ class TextureFit:
     strength: of the reference's texture without noise, gray levels per pixel, r.m.s. declined: None, or why there is no
     rotation. static_bias_deg: by how much a static pattern may have held the rotation back. ghost: how much of the
     reference's own texture stayed in place. uneven: share of what the fit leaves that a deformation of the contact
-    explains. twist_deg: sigma by a middle that has rotated differently. lean: by how much the texture has become
-    stronger on one side, as a share per r.m.s. distance: the object is tilted.
+    explains. twist_deg: sigma by a middle that has rotated differently, not part of the other sigmas. lean: by how much
+    the texture has become stronger on one side, as a share per r.m.s. distance: the object is tilted.
     """
 
     pose: TexturePose
@@ -137,7 +137,7 @@ class TextureFit:
     def uneven_deg(self) -> float:
         """One standard deviation of the rotation by uneven deformation, which may be that of the contact's rim only."""
         doubted = min(max(abs(self.pose.rotation_deg) / UNEVEN_FULL_DEG, UNEVEN_LEAST), 1.0)
-        return math.hypot(UNEVEN_DEG * doubted * self.uneven, self.twist_deg)
+        return UNEVEN_DEG * doubted * self.uneven
 
     @property
     def deformation(self) -> float:
@@ -191,7 +191,7 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
     if ghost.share > GHOST_SIGMAS * ghost.sigma:
         moving = difference - np.float32(ghost.share) * unmoved
     uneven = uneven_share(template, weight * visible, moving)
-    twist_deg, lean = local_changes(template, visible * (weight > 0.0), moving)
+    twist_deg, lean = local_changes(template, visible * weight, moving)
     fit = _result(template, texture_map.noise, pose, regularized, difference, value, weight, bias, ghost, uneven)
     return replace(fit, twist_deg=twist_deg, lean=lean)
 
@@ -307,21 +307,12 @@ def uneven_share(template: TextureTemplate, weight: Field, difference: Field) ->
 def local_changes(template: TextureTemplate, weight: Field, difference: Field) -> tuple[float, float]:
     """Return what a middle that rotates by itself adds to sigma (degrees), and how much one side has become stronger.
 
-    Each is fitted by itself, next to the motions, with equal weights: a robust fit would leave out a middle that moves
-    differently.
+    Every visible point has the same weight: a robust fit would leave out a middle that moves differently.
     """
-    motion, local = template.motion, template.local
-    weighted = motion.T * weight
-    normal = (weighted @ motion).astype(np.float64)
-    normal += 1e-6 * (float(np.trace(normal)) + 1e-9) / len(normal) * np.eye(len(normal))
-    both, gradient = (weighted @ local).astype(np.float64), (weighted @ difference).astype(np.float64)
-    by_motion = np.linalg.solve(normal, np.column_stack([both, gradient]))
-    weighted_local = local.T * weight
-    square = np.einsum("ij,ji->i", weighted_local, local).astype(np.float64) - np.sum(both * by_motion[:, :4], axis=0)
-    square = np.maximum(square, 1e-9)
-    found = ((weighted_local @ difference).astype(np.float64) - both.T @ by_motion[:, 4]) / square
-    left2 = max(float(weight @ difference**2) - float(gradient @ by_motion[:, 4]), 0.0)
-    sigma = CHANCE * np.sqrt(_CORRELATED * left2 / max(float(weight.sum()), 1e-9) / square)
+    left = difference * (weight > 0.0)
+    noise = CHANCE * math.sqrt(_CORRELATED * float(left @ left) / max(np.count_nonzero(weight), 1))
+    found = (left @ template.local).astype(np.float64)
+    sigma = noise * np.sqrt(np.einsum("ij,ij->j", template.local, template.local))
     near_axis, near_center, right, down = np.sqrt(np.maximum(found**2 - sigma**2, 0.0)).tolist()
     angles_deg = (min(math.degrees(near), TWIST_MAX_DEG) for near in (near_axis, near_center))
     twist_deg = math.hypot(*(share * angle for share, angle in zip(TWIST_SHARES, angles_deg, strict=True)))

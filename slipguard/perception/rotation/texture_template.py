@@ -43,8 +43,8 @@ class TextureTemplate:
 
     x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change by rotation, shift x, shift y, scale, gain.
     deform: (N, 5), change by uneven deformation of the gel: twist, two strains, two bends.
-    local: (N, 4), change by a rotation of what is near the grasp axis, and near the contact's center; and by a strength
-    that grows to the right, and downwards.
+    local: (N, 4), weights of a fit's residual that sum up to the rotation (radians) of what is near the grasp axis, and
+    near the contact's center; and to the growth of strength to the right, and downwards (share per r.m.s. distance).
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
     only noise changes, so that a shift is invisible; None if there is none.
     noise: the camera's share of the values, r.m.s. image, origin_px: the source of the points, and the center in it.
@@ -103,7 +103,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         curvature[y, x],
         motion,
         _deformations(motion, dx, dy),
-        _local_changes(motion, dx, dy, (center_x + window.left_px, center_y + window.top_px)),
+        _local_weights(motion, dx, dy, (center_x + window.left_px, center_y + window.top_px)),
         np.unique(block, return_inverse=True)[1],
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (center_x + window.left_px, center_y + window.top_px),
@@ -160,8 +160,8 @@ def _deformations(motion: Field, dx: Field, dy: Field) -> Field:
     return np.asarray(np.stack([(gx * dy - gy * dx) * far, *strains, gx * far * size, gy * far * size]), np.float32).T
 
 
-def _local_changes(motion: Field, dx: Field, dy: Field, center_px: tuple[float, float]) -> Field:
-    """Return the change of the image's values by what partial slip and a tilt of the object do: (N, 4) float32."""
+def _local_weights(motion: Field, dx: Field, dy: Field, center_px: tuple[float, float]) -> Field:
+    """Return the weights that measure what partial slip and a tilt do, each next to the motions: (N, 4) float32."""
     gx, gy, value = motion[:, 1], motion[:, 2], motion[:, 4]
 
     def rotation_near(x_px: float, y_px: float) -> Field:
@@ -170,9 +170,11 @@ def _local_changes(motion: Field, dx: Field, dy: Field, center_px: tuple[float, 
 
     size = np.sqrt(np.mean(dx * dx + dy * dy))
     near_axis = rotation_near((WIDTH_PX - 1) / 2.0, (HEIGHT_PX - 1) / 2.0)
-    return np.asarray(
-        np.stack([near_axis, rotation_near(*center_px), value * dx / size, value * dy / size]), np.float32
-    ).T
+    local = np.stack([near_axis, rotation_near(*center_px), value * dx / size, value * dy / size]).T.astype(np.float64)
+    normal = (motion.T @ motion).astype(np.float64)
+    normal += 1e-6 * (float(np.trace(normal)) + 1e-9) / len(normal) * np.eye(len(normal))
+    local -= motion @ np.linalg.solve(normal, motion.T @ local)
+    return np.asarray(np.ascontiguousarray((local / np.maximum(np.sum(local**2, axis=0), 1e-9)).T), np.float32).T
 
 
 def _smooth_direction(shifts: Field, noise: float) -> Field | None:

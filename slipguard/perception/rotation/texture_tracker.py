@@ -67,6 +67,7 @@ class TrackedTexture:
     shift_px: frame pixels right and down. deformation: factor on sigmas; 1 if the contact has not deformed.
     smooth: the direction (right, down; of length 1) along which the texture shows no shift; None if there is none.
     uneven_deg: sigma by uneven deformation, which the contour has as well.
+    twist_deg: sigma by a middle that has rotated differently, which the contour has as well; not part of `rotation`.
     lean: how much stronger the reference's texture has become on one side; 0 if unknown.
     fit: its registration to the reference; None if a key was used.
     """
@@ -76,6 +77,7 @@ class TrackedTexture:
     shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
     uneven_deg: float = 0.0
+    twist_deg: float = 0.0
     lean: float = 0.0
     fit: TextureFit | None = None
 
@@ -197,7 +199,8 @@ class TextureTracker:
 
     def take_key_if_due(self, texture_map: TextureMap, patch: Patch, found: TrackedTexture) -> None:
         """Make this texture the key if it has changed, but is certain, and found by the reference itself."""
-        rotation, sigma, fit = found.rotation.rotation_deg, found.rotation.sigma_deg, found.fit
+        widened = found.rotation.widened(found.twist_deg)
+        rotation, sigma, fit = widened.rotation_deg, widened.sigma_deg, found.fit
         if fit is None or rotation is None or sigma is None or found.shift_px is None or self.remembers:
             return
         newer = self._key is None or sigma > KEY_STEP * self._key.sigma_deg
@@ -284,8 +287,8 @@ class TextureTracker:
         key_sigma_deg: float,
     ) -> TrackedTexture:
         if fit.declined is not None:
-            declined = RotationEstimate(None, None, fit.declined)
-            return TrackedTexture(declined, fit.deformation, uneven_deg=fit.uneven_deg, lean=fit.lean)
+            no_rotation = TrackedTexture(RotationEstimate(None, None, fit.declined), fit.deformation)
+            return replace(no_rotation, uneven_deg=fit.uneven_deg, twist_deg=fit.twist_deg, lean=fit.lean)
         if self._memory.too_strong:
             detail = f"share {self._memory.share:.2f}, limit {SHARE_MAX:g}"
             return TrackedTexture(RotationEstimate(None, None, explain(DeclineReason.GEL_MEMORY, detail)), 1.0)
@@ -296,7 +299,7 @@ class TextureTracker:
         rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
         if template is self._first:
             rotation = self._memory.corrected(rotation_deg, sigma_deg(fit), fit.ghost)
-        return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg, fit.lean)
+        return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg, fit.twist_deg, fit.lean)
 
 
 def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float = 0.0) -> float:

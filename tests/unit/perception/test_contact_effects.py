@@ -13,7 +13,7 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.rotation.texture_map import ImageWindow, TextureMap
 from slipguard.perception.rotation.texture_registration import Ghost, local_changes
-from slipguard.perception.rotation.texture_template import TextureTemplate, make_texture_template
+from slipguard.perception.rotation.texture_template import NEAR_PX, TextureTemplate, make_texture_template
 from slipguard.perception.settings import PerceptionSettings
 
 
@@ -54,9 +54,11 @@ def test_a_middle_that_rotates_by_itself_and_a_stronger_side_are_measured() -> N
     weight = np.ones(len(template.value), np.float32)
     rigid = np.asarray(0.05 * template.motion[:, 0] + 0.3 * template.motion[:, 1], np.float32)
     assert local_changes(template, weight, rigid) == (pytest.approx(0.0, abs=0.05), pytest.approx(0.0, abs=0.01))
-    middle = np.asarray(np.radians(4.0) * template.local[:, 1], np.float32)
+    near = np.exp(-(template.x_px**2 + template.y_px**2) / NEAR_PX**2)
+    middle = np.asarray(np.radians(4.0) * template.motion[:, 0] * near, np.float32)
     assert local_changes(template, weight, rigid + middle)[0] > 1.0
-    stronger = np.asarray(0.3 * template.local[:, 2], np.float32)
+    size_px = np.sqrt(np.mean(template.x_px**2 + template.y_px**2))
+    stronger = np.asarray(0.3 * template.value * template.x_px / size_px, np.float32)
     assert local_changes(template, weight, rigid + stronger)[1] == pytest.approx(0.3, abs=0.05)
 
 
