@@ -21,19 +21,23 @@ PX_PER_MM = 18.5
 
 
 def measured(folder: Path, frames: list[Path], begin: int) -> list[float]:
-    """Absolute rotations estimated from frame `begin` on, since the first contact; none may be beyond three sigmas."""
+    """Absolute rotations estimated from frame `begin` on, since the first contact, which sigma must describe."""
     background = cv2.imread(str(folder / "background.png"))
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), background, None, PX_PER_MM)
-    rotations = []
+    rotations, sigmas = [], []
     for index, path in enumerate(frames):
         estimate = pipeline.process(Frame(cv2.imread(str(path)), index * FRAMES_APART / 60.0, index))
         if index >= begin and estimate.rotation_deg is not None and estimate.sigma_deg is not None:
             rotations.append(abs(estimate.rotation_deg))
-            assert rotations[-1] <= 3.0 * estimate.sigma_deg, path.name
+            sigmas.append(rotations[-1] / estimate.sigma_deg)
+            assert sigmas[-1] <= 3.0, path.name
+    within = [np.mean(np.array(sigmas) <= limit) for limit in (1.0, 2.0)]
     print(
         f"{len(rotations)} of {len(frames) - begin} estimated, p95 {np.percentile(rotations, 95):.2f}°, "
-        f"largest {max(rotations):.2f}°"
+        f"largest {max(rotations):.2f}°; {within[0]:.0%} within 1 sigma, {within[1]:.0%} within 2"
     )
+    assert within[0] >= 0.6
+    assert within[1] >= 0.93
     return rotations
 
 
@@ -44,7 +48,7 @@ def test_tracked_from_the_first_press_it_hardly_rotates(real_data: Path) -> None
     rotations = measured(folder, frames, begin)
     assert len(rotations) >= 20
     # 2° was aimed at, and reached while only the first 15 of these frames were answered. This keeps what is reached.
-    assert np.percentile(rotations, 95) <= 4.0
+    assert np.percentile(rotations, 95) <= 3.5
 
 
 def test_started_in_the_middle_of_the_shear_on_the_test_frames(real_data: Path) -> None:
