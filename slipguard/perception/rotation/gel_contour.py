@@ -44,9 +44,10 @@ LEAN_SMOOTH_DEG, LEAN_DEG = 6.0, 3.0
 """Sigma of the rotation per change of strength from one side to the other, beyond a free amount: an object that is
 tilted rolls, and the imprint of a bent smooth body then rotates although the body does not; edges roll less. Without a
 tilt the change is 0.02-0.15. Chosen on rocking training objects."""
-ROLLED_DEG, ROLLED_FREE_PX = 0.16, 2.0
+ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 2.0, 4.0
 """Sigma of the rotation per frame pixel by which the contact of a smooth object has moved, beyond a free amount: the
-imprint of a body bent with a radius of 20 mm, which rolls, rotates by so much; a banana's twice as fast."""
+imprint of a body bent with a radius of 20 mm, which rolls, rotates by so much; a banana's twice as fast. At most the
+third number, since a smooth object that slides moves its contact too."""
 DOME_SHARE_MAX = 0.3
 """Largest share of the rotation in sigma for a smooth contact that is not the gel's own."""
 
@@ -83,7 +84,7 @@ class GelContour:
             lean: How much stronger the texture has become on one side.
             moved_px: How far the contact has moved without rotating, frame pixels: it may have rolled.
         """
-        rolled_deg = ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0) if self.smooth else 0.0
+        rolled_deg = min(ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0), ROLLED_MAX_DEG) if self.smooth else 0.0
         leaning_deg = (LEAN_SMOOTH_DEG if self.smooth else LEAN_DEG) * max(lean - LEAN_FREE, 0.0)
         rotation = rotation.widened(math.hypot(rolled_deg, leaning_deg))
         if self.edgeless and rotation.sigma_deg is not None:

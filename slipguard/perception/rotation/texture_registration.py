@@ -310,7 +310,7 @@ def local_changes(template: TextureTemplate, weight: Field, difference: Field) -
     Every visible point has the same weight: a robust fit would leave out a middle that moves differently.
     """
     left = difference * (weight > 0.0)
-    noise = CHANCE * math.sqrt(_CORRELATED * float(left @ left) / max(np.count_nonzero(weight), 1))
+    noise = CHANCE * math.sqrt(_CORRELATED * float(left @ left) / max(int(np.count_nonzero(weight)), 1))
     found = (left @ template.local).astype(np.float64)
     sigma = noise * np.sqrt(np.einsum("ij,ij->j", template.local, template.local))
     near_axis, near_center, right, down = np.sqrt(np.maximum(found**2 - sigma**2, 0.0)).tolist()
