@@ -121,6 +121,12 @@ def _strength(texture_map: TextureMap, slopes: tuple[Field, Field], patch: Patch
     """Return the largest curvature and slope of the gel in and around a patch: gray levels per pixel, gray levels."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * SKIRT_PX + 1, 2 * SKIRT_PX + 1))
     near = cv2.dilate(mask_in_window(patch, texture_map.window), disc) > 0
-    curved = float(np.percentile(np.abs(texture_map.curvature[near]), CURVED_PERCENTILE))
+    curved = _percentile(np.abs(texture_map.curvature[near]), CURVED_PERCENTILE)
     curved = math.sqrt(max(curved**2 - (NOISE_FACTOR * texture_map.noise) ** 2, 0.0))
-    return curved, float(np.percentile(np.hypot(*slopes)[near], STEEP_PERCENTILE))
+    return curved, _percentile(np.hypot(*(one[near] for one in slopes)), STEEP_PERCENTILE)
+
+
+def _percentile(values: Field, percent: float) -> float:
+    """Return the nearest value; numpy's percentile takes three times as long."""
+    place = round(0.01 * percent * (len(values) - 1))
+    return float(np.partition(values, place)[place])
