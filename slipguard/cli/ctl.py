@@ -29,6 +29,10 @@ SocketOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the daemon's response as one JSON object.")]
 ForceOption = Annotated[float | None, typer.Option(help="Newtons per finger. Default: from the configuration.")]
+ForceLimitOption = Annotated[
+    float | None,
+    typer.Option(help="For a fragile object: newtons per finger that are never exceeded while it is held."),
+]
 HeightOption = Annotated[float | None, typer.Option(help="Millimeters. Default: from the configuration.")]
 SpeedOption = Annotated[float | None, typer.Option(help="Millimeters per second. Default: from the configuration.")]
 ACTIVATION_QUESTION = (
@@ -95,13 +99,17 @@ def state(context: typer.Context, socket: SocketOption = None, json: JsonOption 
 
 @app.command()
 def grasp(
-    context: typer.Context, force_n: ForceOption = None, socket: SocketOption = None, json: JsonOption = False
+    context: typer.Context,
+    force_n: ForceOption = None,
+    force_limit_n: ForceLimitOption = None,
+    socket: SocketOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Close gently on the object between the jaws.
 
-    Example: `slipguard ctl grasp --force-n 30`
+    Example: `slipguard ctl grasp --force-n 30`, `slipguard ctl grasp --force-limit-n 45`
     """
-    _submit(context, socket, json, "grasp", force_n=force_n)
+    _submit(context, socket, json, "grasp", force_n=force_n, force_limit_n=force_limit_n)
 
 
 @app.command()

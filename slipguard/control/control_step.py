@@ -68,6 +68,7 @@ def control_step(state: ControlState, observation: Observation, params: GuardPar
 
 def step(state: GraspState, observation: Observation, params: GuardParams) -> Result:
     """Return the controller's next state and output, faults given."""
+    params = params.limited(state.grip.limit_n)
     state = _follow_arm(state, observation)
     if observation.request.kind is RequestKind.RELEASE:
         return request_release(state, observation, params)

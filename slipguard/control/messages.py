@@ -55,7 +55,8 @@ class RequestKind(StrEnum):
 class ControlRequest:
     """One request, handled in one control step. A value that is None comes from the configuration.
 
-    grasp: force_n. lift, lower: height_mm (above 0), speed_mm_s. gripper: width_mm, force_n. release: width_mm.
+    grasp: force_n, force_limit_n (of this object alone). lift, lower: height_mm (above 0), speed_mm_s. gripper:
+    width_mm, force_n. release: width_mm.
     """
 
     kind: RequestKind = RequestKind.NONE
@@ -63,6 +64,7 @@ class ControlRequest:
     height_mm: float | None = None
     speed_mm_s: float | None = None
     width_mm: float | None = None
+    force_limit_n: float | None = None
 
 
 NO_REQUEST = ControlRequest()

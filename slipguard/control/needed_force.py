@@ -11,10 +11,10 @@ Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
 1. The onset of slip. At the first slip under a known force N1 the torque is T(N1). More than that arrives: by r.
 2. Free slip. The excess turns the object: I alpha = tau - T. A bar held at its end has I = 4/3 m b^2, so without
    friction it would turn with 3 g / (4 b), and r = tau / T = 1 / (1 - alpha 4 b / (3 g)), where alpha = rate^2 / (2
-   theta). A slide is the same with g alone. Without a known lever, b = 60 mm. r is at least RATIO_LEAST, for rates lag,
-   and at most RATIO_MAX, for a gel that swings elastically turns as fast at first.
+   theta). A slide is the same with g alone. Without a known lever, b = 60 mm. r is at least `ratio_least`, as rates
+   lag, and at most RATIO_MAX, for a gel that swings elastically turns as fast at first.
 3. Slip while the object leaves the table. Its far end leads it: the rate is the arm's, not the load's, and no image
-   shows r. So the load is searched: each step is r = SEARCH, which ends within a factor of 1 to SEARCH above
+   shows r. So the load is searched: each step is r = `search`, which ends within a factor of 1 to `search` above
    the needed force, in the geometric mean its square root. The arm stands meanwhile, and the load does not grow.
 4. Elastic motion. Before anything slips, a gel twists by up to theta_on = T(N) / (2 k), and gives way in shear by up to
    s_on = mu N a^2 / k (Johnson 3.7: shear and torsion of an incompressible half-space differ by a^2). Up to these, no
@@ -24,7 +24,7 @@ Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
    and what it rotated since then has not been; the geometric mean of both counts. The torsion at the first slip
    narrows the friction as far as k6 is known: ln theta_on = ln mu - ln k6 + ln(...), a Kalman update.
 
-The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: friction and patch cancel. MARGIN is
+The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: friction and patch cancel. `margin` is
 added where r was measured. With `friction` and `mass_kg` given, the force of the limit surface counts, too.
 """
 
@@ -37,10 +37,7 @@ from slipguard.limit_surface import GRAVITY_M_S2, Pad, torque_limit_n_m
 
 FINGERS = 2
 PAD = Pad()
-MARGIN = 1.15
-SEARCH = 1.5
-RATIO_LEAST, RATIO_MAX = 1.4, 2.5
-"""The rate lags behind at first, and a second step costs one more delay of the loop."""
+RATIO_MAX = 2.5
 LEVER_MM = 60.0
 """Where no lever is given."""
 STIFFNESS_RADIUS_M = 6e-3
@@ -88,6 +85,24 @@ STIFFNESS_PRIOR = LogNormal(0.16, 0.8)
 """Torsional stiffness of one gel at 6 mm, N m/rad: that of 0.14 MPa, as a DIGIT has; 50 for a stiff pad."""
 FRICTION_PRIOR = LogNormal(0.6, 0.35)
 FRICTION_GIVEN_SPREAD = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ForceSteps:
+    """How far a step of the force goes: ratios of the load to that at which the grip slips.
+
+    search: of each step while the load arrives. ratio_least: least measured ratio, because rates lag and a second step
+    costs one more delay of the loop. margin: over the measured ratio.
+    """
+
+    search: float
+    ratio_least: float
+    margin: float
+
+
+QUICK = ForceSteps(1.5, 1.4, 1.15)
+GENTLE = ForceSteps(1.2, 1.15, 1.05)
+"""For fragile objects: less force, more slip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,8 +181,10 @@ def after_lift(
     return LogNormal(learned.median, max(learned.spread, STIFFNESS_SPREAD_LEAST))
 
 
-def load_ratio(rotation_deg: float, rate_deg_s: float, slip_mm: float, rate_mm_s: float, lever_mm: float) -> float:
-    """Return how many times the load exceeds what the grip holds, from its motion: RATIO_LEAST to RATIO_MAX.
+def load_ratio(
+    rotation_deg: float, rate_deg_s: float, slip_mm: float, rate_mm_s: float, lever_mm: float, ratio_least: float
+) -> float:
+    """Return how many times the load exceeds what the grip holds, from its motion: ratio_least to RATIO_MAX.
 
     Args:
         rotation_deg, rate_deg_s: free rotation. slip_mm, rate_mm_s: free slide. lever_mm: 0 if unknown.
@@ -177,7 +194,7 @@ def load_ratio(rotation_deg: float, rate_deg_s: float, slip_mm: float, rate_mm_s
         math.radians(max(rate_deg_s, 0.0) ** 2 / (2.0 * rotation_deg)) / free_rad_s2 if rotation_deg > 0.0 else 0.0,
         1e-3 * max(rate_mm_s, 0.0) ** 2 / (2.0 * slip_mm) / GRAVITY_M_S2 if slip_mm > 0.0 else 0.0,
     )
-    return max(1.0 / max(1.0 - max(shares), 1.0 / RATIO_MAX), RATIO_LEAST)
+    return max(1.0 / max(1.0 - max(shares), 1.0 / RATIO_MAX), ratio_least)
 
 
 def needed_force(

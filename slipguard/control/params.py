@@ -115,6 +115,9 @@ class GuardParams(_Table):
     no_estimate_force_n: Force = Field(default_factory=_no_estimate_force_n)
     """Grip before a lift without a rotation estimate (round contacts); raise it for heavy ones. Default: 100, within
     the two forces above."""
+    gentle: bool = False
+    """Tighten in smaller steps, for fragile objects: they get little more force than they need, and slip further. A
+    force limit for one object is an option of `slipguard ctl grasp`."""
     on_no_estimate: Literal["grip", "refuse"] = "grip"
     """Without a rotation estimate: grip with that force, or "refuse" if the lift must not happen unguarded."""
 
@@ -138,6 +141,13 @@ class GuardParams(_Table):
     """Slip at the force limit: "stop" the arm, or (lift mode) "lower" slowly to where the lift began."""
 
     tuning: GuardTuning = GuardTuning()
+
+    def limited(self, force_limit_n: float | None) -> GuardParams:
+        """Return the parameters with a lower force limit; None, or one that is not lower, changes nothing."""
+        if force_limit_n is None or force_limit_n >= self.force_max_n:
+            return self
+        forces = ("first_force_n", "force_max_n", "no_estimate_force_n")
+        return self.model_copy(update={name: min(getattr(self, name), force_limit_n) for name in forces})
 
     @property
     def modelled_n(self) -> float | None:

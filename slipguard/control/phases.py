@@ -238,7 +238,7 @@ def _adopt_in_fault(
     if not gripper.holding or state.hands_off:
         return replace(state, adoption=done), None
     taken, message = _taken_over(state, gripper, observation, params)
-    grip = replace(state.grip, target_n=taken.grip.target_n, commanded_s=taken.grip.commanded_s, closed=True)
+    grip = replace(taken.grip, delay=state.grip.delay)
     motion = replace(state.arm, start_mm=taken.arm.start_mm)
     return replace(state, grip=grip, arm=motion, adoption=done), message
 

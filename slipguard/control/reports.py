@@ -101,9 +101,9 @@ class Text(Enum):
         "release`, which also activates"
     )
     ALREADY_HELD = "an object is already held; `guard on` guards it, `release` opens the jaws"
-    LIMIT_BELOW_GRIPPER = "force_max_n = {limit_n:g} N is below the {weakest_n:g} N this gripper applies at least"
-    ABOVE_FORCE_LIMIT = "{force_n:g} N is above force_max_n = {limit_n:g} N"
-    NOT_WITHIN_FORCE_LIMIT = "{force_n:g} N is not within force_max_n = {limit_n:g} N"
+    LIMIT_BELOW_GRIPPER = "the force limit of {limit_n:g} N is below the {weakest_n:g} N this gripper applies at least"
+    ABOVE_FORCE_LIMIT = "{force_n:g} N is above the force limit of {limit_n:g} N"
+    NOT_WITHIN_FORCE_LIMIT = "{force_n:g} N is not within the force limit of {limit_n:g} N"
     NO_ESTIMATE_REFUSED = "no rotation estimate ({why}); grip it elsewhere, or set on_no_estimate = 'grip'"
     WAY_DOWN_UNKNOWN = (
         "the way down is unknown (no lift since it was gripped, or the arm is not above where it began); give a height"

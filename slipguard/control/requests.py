@@ -52,9 +52,14 @@ def _grasp(state: GraspState, output: StepOutput, observation: Observation, para
     if state.phase is not Phase.IDLE:
         busy = Text.NOT_IN_PHASE.message(verb="grasp", phase=state.phase, hint="release first")
         return _refuse(state, output, _latched(state) or busy)
-    gripper, limit_n = observation.gripper, params.force_max_n
+    gripper, requested_limit_n = observation.gripper, observation.request.force_limit_n
     if (why := _gripper_unfit(gripper)) is not None:
         return _refuse(state, output, why)
+    if requested_limit_n is not None and requested_limit_n > params.force_max_n:
+        why = Text.ABOVE_FORCE_LIMIT.message(force_n=requested_limit_n, limit_n=params.force_max_n)
+        return _refuse(state, output, why)
+    params = params.limited(requested_limit_n)
+    limit_n = params.force_max_n
     if gripper is not None and gripper.holding and not state.hands_off.closing_interrupted:
         return _refuse(state, output, Text.ALREADY_HELD.message())
     if state.person.now:
@@ -69,6 +74,7 @@ def _grasp(state: GraspState, output: StepOutput, observation: Observation, para
         return _refuse(state, output, Text.ABOVE_FORCE_LIMIT.message(force_n=force_n, limit_n=limit_n))
     force_n = force_range.allowed(force_n, 0.0)
     state = state.emptied(Phase.CLOSING, observation.now_s).with_target(force_n, observation.now_s)
+    state = replace(state, grip=replace(state.grip, limit_n=requested_limit_n))
     return state, replace(output, gripper=HoldForce(force_n)).with_messages(Text.CLOSING.message(force_n=force_n))
 
 

@@ -38,7 +38,7 @@ APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
 AGAIN_SHARE = 0.35
-"""After a slip the gel bears all it can, and a step lets it bear this share more: 1 - 1 / SEARCH of needed_force.py.
+"""After a slip the gel bears all it can, and a step lets it bear this share more: 1 - 1 / `search` of needed_force.py.
 Once the object hangs, the load has arrived, and what still moves it is mostly the arm: then all counts again."""
 AHEAD_S = 0.1
 """While an object leaves the table, what a rate above `slip_rate_deg_s` adds in this time counts, too: a short lever

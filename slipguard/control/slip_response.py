@@ -198,11 +198,11 @@ def _tighten(
 
 def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams) -> NeededForce:
     """Return the force that the load needs: where it is still arriving, the next one to try."""
-    ratio = needed_force.SEARCH
+    steps = needed_force.GENTLE if params.gentle else needed_force.QUICK
+    ratio = steps.search
     if seen.memory.arm.case is not ArmCase.LIFT_OFF:
-        ratio = needed_force.MARGIN * needed_force.load_ratio(
-            seen.rotation_deg, seen.rate_deg_s, seen.slip_mm, seen.slip_rate_mm_s, params.lever_mm
-        )
+        moved = seen.rotation_deg, seen.rate_deg_s, seen.slip_mm, seen.slip_rate_mm_s
+        ratio = steps.margin * needed_force.load_ratio(*moved, params.lever_mm, steps.ratio_least)
     return needed_force.needed_force(
         state.grip.target_n,
         ratio,
@@ -287,8 +287,8 @@ def _never_settled(state: GraspState, seen: SlipAssessment) -> Fault:
 def _limit_reached(state: GraspState, what: str, params: GuardParams) -> Fault:
     return Fault(
         FaultCode.FORCE_LIMIT_REACHED,
-        f"{what} at {state.grip.target_n:.0f} N, and force_max_n = {params.force_max_n:g} N",
-        "support the object, lower it or release it; raise force_max_n if object and gel allow it",
+        f"{what} at {state.grip.target_n:.0f} N, and the force limit is {params.force_max_n:g} N",
+        "support the object, lower it or release it; raise the force limit if object and gel allow it",
     )
 
 

@@ -77,6 +77,7 @@ class Grip:
         closed: the jaws have met an object since they closed.
         nothing_since_s: since when the gripper reports that it has closed on nothing; None: it does not.
         delay: of the gripper.
+        limit_n: force limit that was requested for this object; None: that of the configuration.
     """
 
     target_n: float = 0.0
@@ -84,6 +85,7 @@ class Grip:
     closed: bool = False
     nothing_since_s: float | None = None
     delay: GripperDelay = field(default_factory=GripperDelay)
+    limit_n: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,13 +204,14 @@ class RememberedGrip:
     """How an object was held before a restart: the force per finger last commanded, and the jaws' width then.
 
     applied: the gripper had confirmed that force; otherwise the command may never have arrived. lift_start_mm: tool
-    position where the object's lift began; None: it was not lifted, or the arm reports no position.
+    position where the object's lift began; None: it was not lifted, or the arm reports no position. limit_n: see Grip.
     """
 
     force_n: float
     width_mm: float
     applied: bool = True
     lift_start_mm: tuple[float, float, float] | None = None
+    limit_n: float | None = None
 
     def fits(self, gripper: GripperState) -> bool:
         """Return whether the jaws still are where they held the object."""
@@ -296,12 +299,14 @@ class GraspState:
         A gripper that has not been commanded since its connection was opened knows no force. If the jaws are as wide
         as before the restart, the object is held with the force confirmed then, and its lift began where it did.
         """
-        force_n, before = gripper.force_n, self.adoption.remembered
+        force_n, before, limit_n = gripper.force_n, self.adoption.remembered, self.grip.limit_n
         same = before is not None and before.fits(gripper)
         if before is not None and same and before.applied:
             force_n = max(force_n, before.force_n)
+        if before is not None and same:
+            limit_n = before.limit_n
         arm = ArmMotion(start_mm=before.lift_start_mm) if before is not None and same else ArmMotion()
-        return replace(self.emptied(Phase.REFERENCE, now_s), grip=Grip(force_n, closed=True), arm=arm)
+        return replace(self.emptied(Phase.REFERENCE, now_s), grip=Grip(force_n, closed=True, limit_n=limit_n), arm=arm)
 
     def with_target(self, force_n: float, now_s: float) -> GraspState:
         """Return the state after this force was commanded."""

@@ -203,7 +203,7 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
 
 def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(tmp_path: Path) -> None:
     shelf = StateDir(tmp_path)
-    grip = RememberedGrip(90.0, 18.0, applied=False)
+    grip = RememberedGrip(90.0, 18.0, applied=False, limit_n=95.0)
     fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
 
     async def scene() -> None:

@@ -33,10 +33,11 @@ class DaemonRequest(BaseModel):
 
 
 class GraspRequest(DaemonRequest):
-    """Close on the object between the jaws."""
+    """Close on the object between the jaws. force_limit_n: for this object alone, below that of the configuration."""
 
     kind = "grasp"
     force_n: Force | None = None
+    force_limit_n: Force | None = None
 
 
 class LiftRequest(DaemonRequest):

@@ -34,7 +34,7 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         "target_force_n": state.grip.target_n,
         "limits": {
             "first_force_n": guard.first_force_n,
-            "force_max_n": guard.force_max_n,
+            "force_max_n": guard.limited(state.grip.limit_n).force_max_n,
             "lift_height_mm": guard.lift_height_mm,
         },
         "no_rotation_reason": state.held.no_estimate,

@@ -77,7 +77,7 @@ def restore_control_state(
         warning(f"the grip from before the restart is not used: {outdated}")
         grasp = replace(grasp, adoption=Adoption(outdated=last.force_n > 0.0 or last.may_hold))
     else:
-        known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm)
+        known = RememberedGrip(last.force_n, last.width_mm, last.applied, last.lift_start_mm, last.force_limit_n)
         grip = known if last.force_n > 0.0 else None
         adoption = Adoption(remembered=grip, outdated=last.may_hold)
         grasp = replace(grasp, adoption=adoption, person=PersonNear(last.person_near))
@@ -141,7 +141,8 @@ class LastGraspSaver:
             )
         if held and gripper is not None and gripper.holding and not gripper.moving and grasp.grip.target_n > 0.0:
             applied = force_applied(grasp, gripper)
-            grip = RememberedGrip(grasp.grip.target_n, gripper.width_mm, applied, grasp.arm.start_mm)
+            held_by = grasp.grip
+            grip = RememberedGrip(held_by.target_n, gripper.width_mm, applied, grasp.arm.start_mm, held_by.limit_n)
             self._save(replace(new, grip=grip), decision)
         elif not held and _nothing_held(grasp, gripper):
             self._save(_SavedGrasp(), decision)
@@ -172,6 +173,7 @@ class LastGraspSaver:
                 may_hold=new.may_hold,
                 person_near=new.person_near,
                 lift_start_mm=grip.lift_start_mm,
+                force_limit_n=grip.limit_n,
                 fault=new.fault,
                 release_requested=new.release_requested,
                 closing_interrupted=new.closing_interrupted,

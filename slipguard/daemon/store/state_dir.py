@@ -58,7 +58,7 @@ class LastGrasp(DatedFile):
     was in a protective or emergency stop, or had been in one since the fault, so the force was not to be increased.
     fault: latched at that time.
     may_hold: something may have been held, with unknown force and width.
-    lift_start_mm: tool position where the lift began, in the arm's own frame.
+    lift_start_mm: tool position where the lift began, in the arm's own frame. force_limit_n: of this grasp alone.
     release_requested, closing_interrupted: the object was not to be guarded during the fault (see `GraspState`).
     """
 
@@ -69,6 +69,7 @@ class LastGrasp(DatedFile):
     may_hold: bool = False
     person_near: bool = False
     lift_start_mm: tuple[float, float, float] | None = None
+    force_limit_n: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
     fault: Fault | None = None
     release_requested: bool = False
     closing_interrupted: bool = False

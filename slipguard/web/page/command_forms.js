@@ -25,6 +25,10 @@ export const COMMANDS = {
           name: "force_n", label: "Force per finger", unit: "N", min: 1, max: state.limits.force_max_n, step: 5,
           initial: state.limits.first_force_n,
         },
+        {
+          name: "force_limit_n", label: "Force limit for this object (empty: as configured)", unit: "N", min: 1,
+          max: state.limits.force_max_n, step: 5, initial: null,
+        },
       ],
       path: "/grasp",
     }),

@@ -216,3 +216,46 @@ def test_a_gripper_that_comes_back_late_does_not_open() -> None:
     state, _ = step(state, observation(NOW_S + 3.0, gripper=None), PARAMS)
     state, command = step(state, observation(NOW_S + 60.0, gripper=gripper(40.0, at_s=NOW_S + 60.0)), PARAMS)
     assert released_mm(command) is None
+
+
+# --- a force limit for one object ---
+
+
+def test_a_fragile_object_is_never_gripped_harder_than_requested() -> None:
+    play = Play(guard_params(first_force_n=60.0))
+    assert play.step(RequestKind.GRASP, force_limit_n=45.0).hold_force_n == pytest.approx(45.0, abs=0.85)
+    play.step()
+    play.view = fused()
+    play.step()
+    assert play.grasp.grip.limit_n == 45.0
+    for rotation_deg in (4.0, 9.0, 16.0, 25.0, 36.0, 50.0):
+        play.slips(rotation_deg, 60.0)
+        play.steps(0.5)
+        assert play.jaws.force_n <= 45.0
+    assert play.grasp.fault is not None
+    play.view = changed(play.view, rate_deg_s=0.0)
+    play.step(RequestKind.CLEAR)
+    assert play.grasp.grip.limit_n == 45.0
+    play.step(RequestKind.RELEASE)
+    play.jaws = gripper(0.0, holding=False, width_mm=85.0)
+    play.steps(1.0)
+    assert play.grasp.grip.limit_n is None
+    assert play.step(RequestKind.GRASP).hold_force_n == pytest.approx(60.0, abs=0.85)
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"force_limit_n": 140.0}, "140 N is above the force limit of 130 N"),
+        ({"force_limit_n": 50.0, "force_n": 60.0}, "60 N is above the force limit of 50 N"),
+        ({"force_limit_n": 15.0}, "the force limit of 15 N is below the 20 N"),
+    ],
+)
+def test_a_force_limit_that_cannot_be_kept_is_refused(values: dict[str, float], says: str) -> None:
+    command = Play().step(RequestKind.GRASP, **values)
+    assert says in str(command.refusal)
+    assert command.hold_force_n is None
+
+
+def test_a_force_limit_that_is_not_lower_changes_nothing() -> None:
+    assert PARAMS.limited(None) is PARAMS.limited(PARAMS.force_max_n) is PARAMS

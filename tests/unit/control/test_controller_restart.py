@@ -393,3 +393,17 @@ def test_jaws_that_close_while_the_controller_starts_are_waited_for() -> None:
     play.jaws = gripper(40.0)
     play.step()
     assert play.grasp.phase in (Phase.REFERENCE, Phase.HOLDING)
+
+
+def test_a_force_limit_for_one_object_outlasts_a_restart() -> None:
+    known = RememberedGrip(40.0, WIDTH_MM, limit_n=50.0)
+    for play in (restarted(known), latched(known)):
+        play.steps(0.5)
+        assert play.grasp.grip.limit_n == 50.0
+        for rotation_deg in (4.0, 9.0, 16.0):
+            play.slips(rotation_deg, 60.0)
+            play.steps(0.5)
+        assert 40.0 < play.jaws.force_n <= 50.0
+    other = restarted(RememberedGrip(40.0, WIDTH_MM + 1.5, limit_n=50.0))
+    other.steps(0.5)
+    assert other.grasp.grip.limit_n is None

@@ -9,13 +9,13 @@ from records import changed
 
 from slipguard.control.control_step import step
 from slipguard.control.messages import LiftArm, RequestKind, StopArm
-from slipguard.control.needed_force import MARGIN, PAD, RATIO_LEAST, SEARCH
+from slipguard.control.needed_force import GENTLE, PAD, QUICK
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.devices import GripperState
 
-LEAST_STEP = (MARGIN * RATIO_LEAST) ** (1.0 / (1.0 + PAD.gamma))
+LEAST_STEP = (QUICK.margin * QUICK.ratio_least) ** (1.0 / (1.0 + PAD.gamma))
 
 
 def test_the_first_step_suits_the_load_and_stops_the_arm() -> None:
@@ -232,8 +232,23 @@ def test_a_firm_grip_that_rotates_in_the_lift_off_is_tightened_too() -> None:
     play.view = changed(play.view, sigma_deg=0.1)
     play.step()
     command = play.slips(3.1, 5.0)
-    assert command.hold_force_n == pytest.approx(40.2 * SEARCH ** (1.0 / (1.0 + PAD.gamma)), abs=0.9)
+    assert command.hold_force_n == pytest.approx(40.2 * QUICK.search ** (1.0 / (1.0 + PAD.gamma)), abs=0.9)
     assert command.arm == StopArm()
+
+
+@pytest.mark.parametrize("lifts", [False, True])
+def test_a_gentle_guard_tightens_in_smaller_steps(lifts: bool) -> None:
+    force_n = {}
+    for gentle in (False, True):
+        play = Play(guard_params(gentle=gentle)).held()
+        if lifts:
+            play.step(RequestKind.LIFT)
+            play.here = arm(5.0, moving=True)
+        play.step()
+        force_n[gentle] = play.slips(4.0, 30.0).hold_force_n or 0.0
+    ratio = GENTLE.search if lifts else GENTLE.margin * GENTLE.ratio_least
+    assert force_n[True] == pytest.approx(40.2 * ratio ** (1.0 / (1.0 + PAD.gamma)), abs=0.9)
+    assert 40.5 < force_n[True] < force_n[False]
 
 
 def test_both_kinds_of_slip_are_remembered_until_all_has_settled() -> None:

@@ -39,26 +39,26 @@ def test_the_excess_of_the_load_follows_from_the_free_rotation(ratio: float) -> 
     alpha_rad_s2 = 0.75 * GRAVITY_M_S2 / (1e-3 * lever_mm) * (1.0 - 1.0 / ratio)
     rotation_deg = math.degrees(0.5 * alpha_rad_s2 * after_s**2)
     rate_deg_s = math.degrees(alpha_rad_s2 * after_s)
-    assert need.load_ratio(rotation_deg, rate_deg_s, 0.0, 0.0, lever_mm) == pytest.approx(ratio)
+    assert need.load_ratio(rotation_deg, rate_deg_s, 0.0, 0.0, lever_mm, 1.0) == pytest.approx(ratio)
 
 
 def test_the_excess_of_the_load_follows_from_the_free_slide() -> None:
     a_m_s2, after_s = GRAVITY_M_S2 * (1.0 - 1.0 / 1.8), 0.03
     slip_mm, rate_mm_s = 500.0 * a_m_s2 * after_s**2, 1000.0 * a_m_s2 * after_s
-    assert need.load_ratio(0.0, 0.0, slip_mm, rate_mm_s, 0.0) == pytest.approx(1.8)
+    assert need.load_ratio(0.0, 0.0, slip_mm, rate_mm_s, 0.0, 1.0) == pytest.approx(1.8)
 
 
 @pytest.mark.parametrize(
     ("motion", "ratio"),
     [
-        ((0.0, 0.0, 0.0, 0.0), need.RATIO_LEAST),
-        ((5.0, -900.0, 5.0, -900.0), need.RATIO_LEAST),
+        ((0.0, 0.0, 0.0, 0.0), need.QUICK.ratio_least),
+        ((5.0, -900.0, 5.0, -900.0), need.QUICK.ratio_least),
         ((5.0, 9000.0, 0.0, 0.0), need.RATIO_MAX),
         ((0.0, 0.0, 0.5, 9000.0), need.RATIO_MAX),
     ],
 )
 def test_the_ratio_is_limited(motion: tuple[float, float, float, float], ratio: float) -> None:
-    assert need.load_ratio(*motion, 0.0) == pytest.approx(ratio)
+    assert need.load_ratio(*motion, 0.0, need.QUICK.ratio_least) == pytest.approx(ratio)
 
 
 def test_a_gel_bears_what_the_limit_surface_and_its_stiffness_say() -> None:
@@ -123,3 +123,9 @@ def test_a_given_friction_is_more_certain() -> None:
     assert need.friction_of(None) == FRICTION_PRIOR
     assert need.friction_of(0.4).median == 0.4
     assert need.friction_of(0.4).spread < FRICTION_PRIOR.spread
+
+
+def test_gentle_steps_are_smaller_in_every_respect() -> None:
+    quick, gentle = need.QUICK, need.GENTLE
+    assert (gentle.search, gentle.ratio_least, gentle.margin) < (quick.search, quick.ratio_least, quick.margin)
+    assert need.load_ratio(0.0, 0.0, 0.0, 0.0, 0.0, gentle.ratio_least) == gentle.ratio_least

@@ -245,10 +245,11 @@ def test_continuing_motion_at_the_force_limit_is_a_fault(
         assert response.fault.code is FaultCode.FORCE_LIMIT_REACHED
         slid = f", moved {shift_mm:.1f} mm" if shift_mm else ""
         assert (
-            response.fault.observed == f"rotated {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and force_max_n = 130 N"
+            response.fault.observed
+            == f"rotated {rotation_deg:.1f}° at 60°/s{slid} at 130 N, and the force limit is 130 N"
         )
         assert response.fault.what_to_do == (
-            "support the object, lower it or release it; raise force_max_n if object and gel allow it"
+            "support the object, lower it or release it; raise the force limit if object and gel allow it"
         )
 
 
