@@ -79,6 +79,8 @@ class LocalApi:
         """Return the newest processed frame with the contact drawn over it. Raises RequestRefused if there is none."""
         response = self._response("GET", f"/image/{finger}")
         bgr = cv2.imdecode(np.frombuffer(response.content, np.uint8), cv2.IMREAD_COLOR)
+        if bgr is None:
+            raise RequestRefused(f"the image of the {finger} finger cannot be decoded ({len(response.content)} bytes)")
         captured_at_s, sequence = float(response.headers["x-captured-at-s"]), int(response.headers["x-sequence"])
         return GelImage(np.ascontiguousarray(bgr[..., ::-1]), captured_at_s, sequence)
 

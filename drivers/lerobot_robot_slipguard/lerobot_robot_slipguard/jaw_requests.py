@@ -34,7 +34,8 @@ class JawRequests:
 
     While nothing is held, the jaws follow the opening; an object that they meet is guarded. A held object is released
     only if the opening is above `release_above` for `release_after_s`, and was below it before since the object is
-    held: a policy that commands open jaws all the time does not drop what another client gripped.
+    held and no fault is latched: a policy that commands open jaws all the time does not drop what another client
+    gripped, nor what is still held when a person has cleared a fault.
 
     Args:
         stroke_mm: Width of an opening of 1.
@@ -57,7 +58,7 @@ class JawRequests:
             state: The daemon's state.
         """
         if state["fault"] or not state["gripper"] or state["phase"] in BUSY:
-            self._open_since_s = None
+            self._may_release, self._open_since_s = False, None
             return None
         if is_held(state):
             self._sent_mm = None

@@ -42,7 +42,8 @@ class SlipguardRobot(Robot):
         self._own_cameras = make_cameras_from_configs(config.cameras)
         self._api: LocalApi | None = None
         self._jaws = self._new_jaws()
-        self._state: tuple[float, dict[str, Any]] | None = None
+        self._state: dict[str, Any] = {}
+        self._read_at_s = -math.inf
         self._arm_action: dict[str, Any] = {}
         self._problem: str | None = None
 
@@ -68,7 +69,7 @@ class SlipguardRobot(Robot):
     def is_connected(self) -> bool:
         """Whether arm, cameras and daemon are connected."""
         own = all(camera.is_connected for camera in self._own_cameras.values())
-        return self._api is not None and own and self.arm.is_connected
+        return self._api is not None and own and bool(self.arm.is_connected)
 
     @check_if_already_connected
     def connect(self, calibrate: bool = True) -> None:
@@ -81,14 +82,15 @@ class SlipguardRobot(Robot):
         api = LocalApi(self.config.socket)
         with contextlib.ExitStack() as undo:
             undo.callback(api.close)
-            _check_guarding(api.state(), api.socket)
+            state = api.state()
+            _check_guarding(state, api.socket)
             self.arm.connect(calibrate)
             undo.callback(self.arm.disconnect)
             for camera in self._own_cameras.values():
                 camera.connect()
                 undo.callback(camera.disconnect)
             undo.pop_all()
-        self._api, self._jaws, self._state = api, self._new_jaws(), None
+        self._api, self._jaws, self._state = api, self._new_jaws(), state
         self._arm_action, self._problem = {}, None
 
     @property
@@ -165,22 +167,19 @@ class SlipguardRobot(Robot):
     def _send_to_jaws(self, opening: float, force_n: float | None) -> tuple[float, float]:
         """Send the request that an action means, if any; return position and force sent. Sets `_problem`."""
         try:
-            recent = self._state is not None and time.monotonic() - self._state[0] <= STATE_MAX_AGE_S
-            state = self._state[1] if recent and self._state is not None else self._read_state()
+            state = self._recent_state()
         except (DaemonUnreachable, RequestRefused) as why:
             self._report(str(why))
-            state = self._state[1] if self._state is not None else None
-            return (self._position(state), self._force_n(state)) if state else (self.config.closed_position, 0.0)
+            return self._position(self._state), self._force_n(self._state)
         fault = state["fault"]
         self._report(f"{fault['code']}: {fault['observed']}. {fault['what_to_do']}" if fault else None)
         request = self._jaws.next(opening, force_n, state, time.monotonic())
-        if request is not None and not self._submit(request):
-            request = None
-        moves = request is not None and "width_mm" in request.fields
-        present = is_held(state) or state["phase"] != "idle" or fault
-        position = self._position(state) if present and not moves else self._to_position(opening)
-        tightens = request is not None and request.kind == "gripper"
-        return position, request.fields.get("force_n", self._force_n(state)) if tightens else self._force_n(state)
+        sent = request if request is not None and self._submit(request) else None
+        refused = request is not None and sent is None
+        stays = refused or is_held(state) or state["phase"] != "idle"
+        releases = sent is not None and sent.kind == "release"
+        position = self._position(state) if stays and not releases else self._to_position(opening)
+        return position, self._force_n(state) if sent is None else sent.fields.get("force_n", self._force_n(state))
 
     def _submit(self, request: JawRequest) -> bool:
         """Return whether the daemon accepted a request."""
@@ -201,19 +200,23 @@ class SlipguardRobot(Robot):
 
     def _read_state(self) -> dict[str, Any]:
         assert self._api is not None
-        state = self._api.state()
-        self._state = time.monotonic(), state
-        return state
+        self._state, self._read_at_s = self._api.state(), time.monotonic()
+        return self._state
+
+    def _recent_state(self) -> dict[str, Any]:
+        """Return the state that the last observation has read, unless it is too old."""
+        recent = time.monotonic() - self._read_at_s <= STATE_MAX_AGE_S
+        return self._state if recent else self._read_state()
 
     def _requested(self, action: dict[str, Any]) -> tuple[float, float | None]:
         """Return opening (0 to 1) and force of an action. Raises ValueError."""
         config = self.config
-        wanted = {key: action.get(key) for key in self.action_features}
-        bad = [key for key, value in wanted.items() if value is None or not math.isfinite(value)]
+        bad = [key for key in self.action_features if not _is_finite(action.get(key))]
         if bad:
-            raise ValueError(f"the action has {bad[0]} = {wanted[bad[0]]}; it must be a finite number")
-        opening = (wanted[config.gripper] - config.closed_position) / (config.open_position - config.closed_position)
-        return min(max(opening, 0.0), 1.0), wanted.get(FORCE) or None
+            raise ValueError(f"the action has {bad[0]} = {action.get(bad[0])}; it must be a finite number")
+        opening = (action[config.gripper] - config.closed_position) / (config.open_position - config.closed_position)
+        force_n = action[FORCE] if config.force_in_action else 0.0
+        return min(max(opening, 0.0), 1.0), force_n if force_n > 0.0 else None
 
     def _to_position(self, opening: float) -> float:
         config = self.config
@@ -229,6 +232,10 @@ class SlipguardRobot(Robot):
         if not is_held(state):
             return 0.0
         return float(max(state["target_force_n"], (state["gripper"] or {}).get("force_n", 0.0)))
+
+
+def _is_finite(value: Any) -> bool:
+    return value is not None and math.isfinite(value)
 
 
 def _check_guarding(state: dict[str, Any], socket: str) -> None:

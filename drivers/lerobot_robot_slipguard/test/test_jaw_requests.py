@@ -92,6 +92,14 @@ def test_the_time_above_the_threshold_starts_again_with_each_object() -> None:
     assert releases(run([1.0] * 60, HELD, jaws)) == 0, "the next object was not closed on by this policy"
 
 
+def test_after_a_fault_the_jaws_are_closed_before_an_opening_counts() -> None:
+    jaws = JawRequests(STROKE_MM, 0.9, 0.3)
+    run([0.0], HELD, jaws)
+    run([1.0] * 30, state("fault", fault={"code": "frames lost"}), jaws)
+    assert releases(run([1.0] * 60, HELD, jaws)) == 0, "a person has cleared the fault; the policy still says open"
+    assert releases(run([0.0] + [1.0] * 60, HELD, jaws)) == 1
+
+
 def test_force_only_rises_and_stays_within_the_limit() -> None:
     assert run([0.0], HELD, force_n=20.0) == [None]
     assert run([0.0], HELD, force_n=50.0) == [JawRequest("gripper", {"force_n": 50.0})]

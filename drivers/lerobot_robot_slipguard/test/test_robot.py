@@ -140,12 +140,14 @@ def test_without_a_daemon_the_arm_stays_too(
         raise DaemonUnreachable("no slipguard daemon responds")
 
     act(robot, OPEN, shoulder=10.0)
-    robot._state = None  # as after a pause
+    robot._read_at_s = -math.inf  # as after a pause
     monkeypatch.setattr(LocalApi, "state", unreachable)
     with pytest.raises(DaemonUnreachable):
         robot.get_observation()
     action = {"shoulder.pos": 50.0, "elbow.pos": 0.0, "gripper.pos": OPEN, "grip.force_n": 0.0}
-    assert robot.send_action(action)["shoulder.pos"] == 10.0
+    sent = robot.send_action(action)
+    assert sent["shoulder.pos"] == 10.0
+    assert sent["grip.force_n"] == 0.0
 
 
 def test_connecting_says_what_is_missing(daemon: Daemon) -> None:
