@@ -179,19 +179,19 @@ class Pipeline:
             timer.mark("gate")
             return repeated
 
-        if self._skips.no_contact and not self._gate.may_be_contact(blocks):
-            self._torn.note_good(image, now_s)
-            self._forget_measured()
-            self._patch = None
-            timer.mark("gate")
-            return self._declined(frame, DeclineReason.NO_CONTACT, timer, skipped=str(DeclineReason.NO_CONTACT))
-
         timer.mark("gate")
         by_texture = self._measure_texture(image, blocks, frame, unchanged, timer)
         if by_texture is not None:  # even in a torn frame: a texture that has moved as a whole is in between its parts
             self._torn.note_good(image, now_s)
             self._note_measured(blocks, self._whole.near if self._whole is not None else None, unchanged, by_texture)
             return by_texture
+
+        if self._skips.no_contact and not self._gate.may_be_contact(blocks):
+            self._torn.note_good(image, now_s)
+            self._forget_measured()
+            self._patch = None
+            timer.mark("gate")
+            return self._declined(frame, DeclineReason.NO_CONTACT, timer, skipped=str(DeclineReason.NO_CONTACT))
 
         self._refuse_torn(image, frame)
         timer.mark("gate")

@@ -291,11 +291,12 @@ def likely_rotations_deg(
 
 def uneven_share(template: TextureTemplate, weight: Field, difference: Field) -> float:
     """Return the share of the fit's squared residual that uneven deformation explains, beyond what chance does."""
-    columns = np.concatenate([template.motion, template.deform], axis=1)
-    weighted = columns.T * weight
-    normal = (weighted @ columns).astype(np.float64)
-    scale = np.sqrt(np.diag(normal)) + 1e-9
-    normal = normal / np.outer(scale, scale) + 1e-6 * np.eye(len(normal))
+    rows = np.concatenate([template.motion.T, template.deform.T])
+    weighted = rows * weight
+    normal = (weighted @ rows.T).astype(np.float64)
+    scale = np.sqrt(normal.diagonal()) + 1e-9
+    normal /= scale[:, None] * scale
+    normal.flat[:: len(normal) + 1] += 1e-6
     gradient = (weighted @ difference).astype(np.float64) / scale
     explained = float(gradient @ np.linalg.solve(normal, gradient))
     rigid = gradient[:5]
