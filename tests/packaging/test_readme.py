@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 import typer
-from sandbox import ROOT
+from sandbox import ROOT, Sandbox
 
 from slipguard.cli.app import app
 from slipguard.control.reports import FaultCode
+from slipguard.sim.gel_camera import GelCamera
+from slipguard.sim.gel_view import GelView
+from slipguard.sim.sensor_unit import SensorUnit
 from tests.campaigns.command_line import app as campaigns
 
 README_MAX_BYTES = 10_240
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-FOLDERS = ("", "slipguard", "drivers", "systemd", "tests", "models", ".github")
+FOLDERS = ("", "slipguard", "drivers", "drivers/slipguard_ros", "systemd", "tests", "models", ".github", "docs/pages")
 FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
 each_file = pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 
@@ -28,13 +33,57 @@ PROGRAMS: dict[str, Any] = {
 COMMAND = re.compile(
     r"^(?:\$ )?(?:sudo )?(?:[\w./]*/)?(slipguard|python -m tests\.campaigns|(?:python -m )?pytest)(?: |$)(.*)"
 )
+RUN_HERE = (
+    "slipguard --help",
+    "slipguard version",
+    "slipguard check --config config.toml",
+    "slipguard measure frames/ --background bg.png",
+    "slipguard evaluate markers --out markers.pdf",
+    "python -m tests.campaigns --help",
+)
+"""Commands that need neither devices nor minutes: run as they stand."""
+UNIT, WIRE = "tests/unit", "tests/wire"
+RUN_BY = {
+    "slipguard --sim": f"{UNIT}/cli/test_cli_sim.py",
+    "slipguard bench": f"{UNIT}/bench/test_bench_command.py",
+    "slipguard calibrate": f"{UNIT}/cli/test_cli_calibrate.py",
+    "slipguard check": f"{UNIT}/cli/test_cli_misuse.py",
+    "slipguard ctl": f"{UNIT}/cli/test_ctl.py",
+    "slipguard ctl clear": f"{WIRE}/test_cell_commands.py",
+    "slipguard doctor": f"{WIRE}/test_doctor.py",
+    "slipguard emulate": f"{UNIT}/cli/test_cli_options.py",
+    "slipguard evaluate": f"{UNIT}/evaluation/test_evaluation_files.py",
+    "slipguard evaluate run": "tests/loop/test_evaluate_run.py",
+    "slipguard install": f"{UNIT}/cli/test_install.py",
+    "slipguard measure": f"{UNIT}/cli/test_cli_options.py",
+    "slipguard replay": f"{UNIT}/cli/test_cli_options.py",
+    "slipguard run": "tests/service/test_service.py",
+    "slipguard run --sim": "drivers/slipguard_ros/test/rosprocesses.py",
+    "slipguard stress": f"{UNIT}/stress/test_stress.py",
+    "slipguard train": f"{UNIT}/training/test_train.py",
+    "python -m tests.campaigns ablations": f"{UNIT}/campaigns/test_ablations.py",
+    "python -m tests.campaigns api-load": f"{UNIT}/campaigns/test_api_load.py",
+    "python -m tests.campaigns faults": f"{UNIT}/campaigns/test_fault_campaign.py",
+    "python -m tests.campaigns hostile-clients": f"{UNIT}/campaigns/test_hostile_clients.py",
+    "python -m tests.campaigns network-table": f"{UNIT}/campaigns/test_paper_networks.py",
+    "python -m tests.campaigns rotated-presses": f"{UNIT}/campaigns/test_rotated_presses.py",
+    "python -m tests.campaigns soak": f"{UNIT}/campaigns/test_soak.py",
+    "python -m tests.campaigns bench-table": f"{UNIT}/campaigns/test_bench_table.py",
+}
+"""By the first words of a command: the file that runs it, with other devices, sizes or paths."""
+NOT_RUN = {
+    "python -m tests.campaigns recording-cost": "minutes of real time on an idle machine",
+    "python -m tests.campaigns make-timing-network": "the network that it makes is in models/",
+    "python -m tests.campaigns torn-frames": "needs real images; tests/unit/campaigns/test_torn_frames_campaign.py is short",
+}
+"""Commands that are parsed only, and why."""
 TRY_IT = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/slipguard --sim"
 TEST_IT = "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"
 
 
 def code(text: str) -> Iterator[str]:
-    """Yield the lines of all code blocks, and what stands between back-ticks."""
-    parts = re.split(r"^```.*$", text.replace("\\\n", " "), flags=re.M)
+    """Yield the commands of all code blocks, and what stands between back-ticks."""
+    parts = re.split(r"^ *```.*$", text.replace("\\\n", " "), flags=re.M)
     for block in parts[1::2]:
         for line in block.splitlines():
             yield from (step.strip() for step in re.split(r"&&|;", line.partition(" #")[0]))
@@ -54,20 +103,23 @@ def commands(path: Path) -> set[tuple[str, str]]:
 
 
 def check(program: str, arguments: str) -> None:
-    """Fail if a command or an option does not exist. Square brackets mark what is optional."""
-    command, text = PROGRAMS[program], f"`{program} {arguments}`"
-    words = re.sub(r"[\[\]]|\.\.\.", " ", re.split(r" [|>] | 2>", arguments)[0]).split()
-    while words:
-        word = words.pop(0)
-        if word.startswith("-"):
-            options = {name: option for option in command.params for name in (*option.opts, *option.secondary_opts)}
-            name, has_value, _ = word.partition("=")
-            assert name in options or name == "--help", f"{text}: no option {name}"
-            if not has_value and name in options and not options[name].is_flag and words:
-                words.pop(0)
-        elif hasattr(command, "commands"):
-            assert word in command.commands, f"{text}: no command {word}"
-            command = command.commands[word]
+    """Parse a command as the program does, without running it. Square brackets mark what is optional.
+
+    A text may name a command without its arguments.
+    """
+    words = shlex.split(re.sub(r"[\[\]]|\.\.\.", " ", re.split(r" [|>] | 2>", arguments)[0]))
+    command, context = PROGRAMS[program], None
+    while "--help" not in words:
+        try:
+            context = command.make_context(command.name, list(words), parent=context, resilient_parsing=not words)
+        except Exception as error:  # click's, under typer's name
+            if not re.search("Missing|requires an argument", f"{type(error).__name__} {error}"):
+                pytest.fail(f"`{program} {arguments}`: {error}")
+            return
+        words = [*getattr(context, "_protected_args", []), *context.args]
+        if not words:
+            return
+        _, command, words = command.resolve_command(context, words)
 
 
 @each_file
@@ -81,6 +133,55 @@ def test_every_command_exists(path: Path, pytestconfig: pytest.Config) -> None:
                 pytestconfig.getoption(word.partition("=")[0])
             elif word.startswith("tests/"):
                 assert (ROOT / word.partition("::")[0]).exists(), f"`pytest {arguments}`: no {word}"
+
+
+def test_a_wrong_command_is_detected() -> None:
+    for wrong in ("ctl lift --height 3", "ctl lift --height-mm high", "--simulate", "ctl lit", "emulate cell --fps 50"):
+        with pytest.raises(BaseException, match=r"(?i)no such|valid number|not one of"):
+            check("slipguard", wrong)
+
+
+def named(command: Any, words: list[str]) -> str:
+    """Return the words of a command line that name the command."""
+    found = []
+    for word in words:
+        if word in getattr(command, "commands", {}):
+            command = command.commands[word]
+            found.append(word)
+    return " ".join(found)
+
+
+@each_file
+def test_every_command_is_run_by_a_test(path: Path) -> None:
+    for program, arguments in sorted(commands(path)):
+        line = f"{program} {arguments}".strip()
+        name = f"{program} {named(PROGRAMS.get(program), arguments.split())}".strip()
+        if program not in PROGRAMS or name in ("slipguard", *NOT_RUN) or line in RUN_HERE:
+            continue
+        keys = [key for key in RUN_BY if f"{line} ".startswith(f"{key} ") or f"{name} ".startswith(f"{key} ")]
+        assert keys, f"`{line}`: name the test that runs it in RUN_BY"
+        text = (ROOT / RUN_BY[max(keys, key=len)]).read_text(encoding="utf-8")
+        for word in name.removeprefix(program).split():
+            assert re.search(rf"\b{word.replace('-', '[-_]')}\b", text), (
+                f"`{line}`: {RUN_BY[max(keys, key=len)]} does not run {word}"
+            )
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("command", RUN_HERE)
+def test_it_runs_as_it_stands(command: str, sandbox: Sandbox) -> None:
+    assert any(" ".join(one).strip() == command for path in FILES for one in commands(path)), "not documented"
+    work, camera = sandbox.path / "work", GelCamera(SensorUnit(), seed=7)
+    (work / "frames").mkdir()
+    cv2.imwrite(str(work / "bg.png"), camera.draw(GelView("")))
+    cv2.imwrite(str(work / "frames" / "1.png"), camera.draw(GelView("bar", angle_deg=20.0, depth_mm=0.8)))
+    (work / "config.toml").write_bytes((ROOT / "config.toml").read_bytes())
+    (work / "tests").symlink_to(ROOT / "tests")
+    ran = sandbox.run(
+        *shlex.split(command.removeprefix("python ").replace("slipguard", "-m slipguard", 1)), vendor=True
+    )
+    assert (ran.returncode, ran.stderr) == (0, ""), ran.stderr
+    assert ran.stdout
 
 
 @each_file
