@@ -74,7 +74,7 @@ RUN_BY = {
 NOT_RUN = {
     "python -m tests.campaigns recording-cost": "minutes of real time on an idle machine",
     "python -m tests.campaigns make-timing-network": "the network that it makes is in models/",
-    "python -m tests.campaigns torn-frames": "needs real images; tests/unit/campaigns/test_torn_frames_campaign.py is short",
+    "python -m tests.campaigns torn-frames": "needs real images; its short form is a test",
 }
 """Commands that are parsed only, and why."""
 TRY_IT = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/slipguard --sim"
