@@ -68,7 +68,7 @@ def draw_animation(to: Path, name: str, seed: int) -> None:
     frames = [np.hstack([side.draw(step * STEP_S) for side in sides]) for step in range(int(length_s / STEP_S))]
     animation = cv2.Animation()
     animation.frames = frames
-    animation.durations = np.array([round(1000 * STEP_S)] * (len(frames) - 1) + [2500], np.int32)
+    animation.durations = [round(1000 * STEP_S)] * (len(frames) - 1) + [2500]
     if not cv2.imwriteanimation(str(to), animation, [cv2.IMWRITE_WEBP_QUALITY, QUALITY]):
         raise OSError(f"{to} cannot be written")
 
