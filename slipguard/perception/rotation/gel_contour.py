@@ -48,6 +48,8 @@ ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 2.0, 4.0
 """Sigma of the rotation per frame pixel by which the contact of a smooth object has moved, beyond a free amount: the
 imprint of a body bent with a radius of 20 mm, which rolls, rotates by so much; a banana's twice as fast. At most the
 third number, since a smooth object that slides moves its contact too."""
+SHRUNK = 1.5
+"""Any contact that has moved and shrunk by this factor touches with another part of the object."""
 DOME_SHARE_MAX = 0.3
 """Largest share of the rotation in sigma for a smooth contact that is not the gel's own."""
 
@@ -63,6 +65,7 @@ class GelContour:
 
     def __init__(self, texture_map: TextureMap, slopes: tuple[Field, Field], patch: Patch) -> None:
         self._shape = _Ellipse(patch)
+        self._area_px = patch.area_px
         curved, steep = _strength(texture_map, slopes, patch)
         sharp = 0.5 * self._shape.width_px / REDUCTION * curved / max(steep, 1e-3)
         self._flat = min(FLAT_LEVELS / max(curved, 1e-3), 1.0)
@@ -84,7 +87,9 @@ class GelContour:
             lean: How much stronger the texture has become on one side.
             moved_px: How far the contact has moved without rotating, frame pixels: it may have rolled.
         """
-        rolled_deg = min(ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0), ROLLED_MAX_DEG) if self.smooth else 0.0
+        shrunk = math.log(max(self._area_px, 1) / max(patch.area_px, 1)) / math.log(SHRUNK)
+        rolled = 1.0 if self.smooth else min(max(shrunk, 0.0), 1.0)
+        rolled_deg = rolled * min(ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0), ROLLED_MAX_DEG)
         leaning_deg = (LEAN_SMOOTH_DEG if self.smooth else LEAN_DEG) * max(lean - LEAN_FREE, 0.0)
         rotation = rotation.widened(math.hypot(rolled_deg, leaning_deg))
         if self.edgeless and rotation.sigma_deg is not None:

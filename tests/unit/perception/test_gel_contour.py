@@ -10,9 +10,13 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
+from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation.fusion import RotationEstimate
+from slipguard.perception.rotation.gel_contour import GelContour
+from slipguard.perception.rotation.texture_map import ImageWindow, TextureMap
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -65,3 +69,26 @@ def test_the_error_of_a_large_cylinder_is_covered_by_sigma() -> None:
 def test_a_face_with_edges_is_measured() -> None:
     for rotation, estimate in list(estimates(box, 0.4, 12.0))[HELD_FRAMES:]:
         assert estimate.rotation_deg == pytest.approx(rotation, abs=0.5)
+
+
+def rectangle(width_px: int, height_px: int) -> Patch:
+    probability = np.zeros((160, 120), np.float32)
+    probability[80 - height_px // 2 : 80 + height_px // 2, 60 - width_px // 2 : 60 + width_px // 2] = 1.0
+    patch = find_patch(probability, 0.5, 100, 2.0)
+    assert patch is not None
+    return patch
+
+
+@pytest.mark.parametrize(
+    ("height_px", "lean", "moved_px", "sigma_deg"),
+    [(60, 0.0, 0.0, 0.3), (60, 0.0, 40.0, 0.3), (40, 0.0, 1.0, 0.3), (40, 0.0, 40.0, 4.0), (60, 0.53, 0.0, 1.53)],
+)
+def test_a_contact_that_leans_or_moves_and_shrinks_is_less_certain(
+    height_px: int, lean: float, moved_px: float, sigma_deg: float
+) -> None:
+    edges = np.asarray(np.random.default_rng(1).normal(0.0, 30.0, (160, 120)), np.float32)
+    slopes = np.ones((160, 120), np.float32)
+    contour = GelContour(TextureMap(ImageWindow(0, 0, 120, 160), edges), (slopes, slopes), rectangle(30, 60))
+    assert not contour.smooth
+    found = contour.check(RotationEstimate(5.0, 0.3), rectangle(30, height_px), 1.0, lean, moved_px)
+    assert found.sigma_deg == pytest.approx(sigma_deg, abs=0.02)
