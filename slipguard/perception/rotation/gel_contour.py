@@ -44,7 +44,7 @@ LEAN_SMOOTH_DEG, LEAN_DEG = 6.0, 3.0
 """Sigma of the rotation per change of strength from one side to the other, beyond a free amount: an object that is
 tilted rolls, and the imprint of a bent smooth body then rotates although the body does not; edges roll less. Without a
 tilt the change is 0.02-0.15. Chosen on rocking training objects."""
-ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 2.0, 4.0
+ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 2.0, 5.0
 """Sigma of the rotation per frame pixel by which the contact of a smooth object has moved, beyond a free amount: the
 imprint of a body bent with a radius of 20 mm, which rolls, rotates by so much; a banana's twice as fast. At most the
 third number, since a smooth object that slides moves its contact too."""
