@@ -17,9 +17,9 @@ from slipguard.perception.rotation.contour_template import ContourTemplate, make
 from slipguard.perception.rotation.fusion import RotationEstimate, fuse_rotation, is_certain, needs_contour
 from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
+from slipguard.perception.rotation.segmented_texture import SegmentedTexture
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
-from slipguard.perception.rotation.texture_registration import TextureFit
 from slipguard.perception.rotation.texture_tracker import TrackedTexture
 from slipguard.perception.settings import PerceptionSettings
 
@@ -30,12 +30,6 @@ GROWTH_SIGMAS = 2.0
 without a background image: force changes their contour in other ways than a rotation."""
 MISFIT_SIGMAS = 1.5
 """If the contour is not the reference's any more, the axis is off too: by this share of the contour's misfit."""
-WHOLE_SCALE, WHOLE_GAIN, WHOLE_ALIKE = 0.02, 0.1, 0.03
-WHOLE_DEG, WHOLE_PX = 8.0, 3.0
-WHOLE_SIGMA_DEG, MOVED_SHARE = 4.0, 0.1
-"""Changes since the last segmentation up to which a contact moves as a whole: shares of scale and strength, correlation
-with the reference, rotation and shift (texture pixels). A texture up to this sigma still shows how far the contact has
-rotated since then, with this share of the way in sigma."""
 SECOND_START_DEG = 4.0
 """If the axis points further away than this from the registered contour, registration also starts from there."""
 
@@ -47,15 +41,6 @@ class _ContourMeasurement:
     rotation: RotationEstimate
     axis: RotationEstimate
     shift_px: tuple[float, float]
-
-
-@dataclass(frozen=True, slots=True)
-class _WholeContact:
-    """The last measurement of a segmented contact: registration and rotation of the texture, and the fused rotation."""
-
-    fit: TextureFit
-    texture: RotationEstimate
-    fused: RotationEstimate
 
 
 class RotationMeter:
@@ -88,7 +73,7 @@ class RotationMeter:
         self._template: ContourTemplate | None = None
         self._pose = ContourPose()
         self._choice = ReferenceSelector(settings.reference == "first")
-        self._whole: _WholeContact | None = None
+        self._segmented: SegmentedTexture | None = None
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
     @property
@@ -178,14 +163,14 @@ class RotationMeter:
             else:
                 found = reference.texture.track(texture_map, patch, predicted_deg, axis)
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
-        self._whole = None
+        self._segmented = None
         texture = None if found is None else found.rotation
 
         remembers = reference.texture is not None and reference.texture.remembers
         remembers = remembers and texture is not None and texture.rotation_deg is not None
         if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
             rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
-            self._note_whole(found, rotation)
+            self._note_segmented(found, rotation)
             shift = reference.shift.measure(now_s, patch, found, center_shift_px)
             return self._accept(now_s, reference, rotation, patch, shift, found, axes, by_texture=True)
 
@@ -208,7 +193,7 @@ class RotationMeter:
             1.0 if found is None else found.deformation,
             uneven_deg,
         )
-        self._note_whole(found, rotation)
+        self._note_segmented(found, rotation)
         shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
         return self._accept(now_s, reference, rotation, patch, shift, found, axes)
 
@@ -218,7 +203,7 @@ class RotationMeter:
         It is enough while the texture has moved as a whole: neither its scale, its strength nor its correlation with
         the reference have changed since `measure`. If it is not certain, it shows the rotation since then.
         """
-        reference, before = self.reference, self._whole
+        reference, before = self.reference, self._segmented
         if reference is None or reference.texture is None or before is None or self._tracker.offered_deg is not None:
             return None
         if self._choice.provisional or self._choice.carries:
@@ -232,18 +217,15 @@ class RotationMeter:
             return None
         found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None), take_key=False)
         self._tried = now_s, texture_map, found
-        if found.fit is None or found.smooth is not None or not _moved_as_a_whole(found.fit, before.fit):
-            return None
-        certain = is_certain(found.rotation)
-        rotation = found.rotation if certain else _carried_on(before, found.rotation)
+        rotation = before.rotation_in(found)
         if rotation is None:
             return None
         shift = reference.shift.follow(now_s, found)
-        return self._accept(now_s, reference, rotation, patch, shift, found, {}, by_texture=certain)
+        return self._accept(now_s, reference, rotation, patch, shift, found, {}, by_texture=rotation is found.rotation)
 
-    def _note_whole(self, found: TrackedTexture | None, fused: RotationEstimate) -> None:
+    def _note_segmented(self, found: TrackedTexture | None, fused: RotationEstimate) -> None:
         if found is not None and found.fit is not None:
-            self._whole = _WholeContact(found.fit, found.rotation, fused)
+            self._segmented = SegmentedTexture(found.fit, found.rotation, fused)
 
     def take_reference(
         self,
@@ -269,7 +251,7 @@ class RotationMeter:
         self.reference = make_reference(image, patch, axes, self._reader, rotation_deg is not None)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
-        self._whole = None
+        self._segmented = None
         self._template = None
         self._pose = ContourPose(rotation_deg or 0.0)
         return axes
@@ -360,27 +342,3 @@ class RotationMeter:
         other = registrar.fit(ContourPose(axis_deg, dx / self._frame_px, dy / self._frame_px))
         better = other.declined is None and (best.declined is not None or other.residual < best.residual)
         return other if better else best
-
-
-def _carried_on(before: _WholeContact, texture: RotationEstimate) -> RotationEstimate | None:
-    """Return the rotation by that of the texture since the last segmented contact; None if too uncertain."""
-    first, fused = before.texture, before.fused
-    if texture.rotation_deg is None or first.rotation_deg is None or fused.rotation_deg is None:
-        return None
-    sigma, first_sigma = texture.sigma_deg or 0.0, first.sigma_deg or 0.0
-    if sigma > WHOLE_SIGMA_DEG or fused.sigma_deg is None:
-        return None
-    moved_deg = texture.rotation_deg - first.rotation_deg
-    grown = math.sqrt(max(sigma**2 - first_sigma**2, 0.0))
-    return RotationEstimate(fused.rotation_deg + moved_deg, math.hypot(fused.sigma_deg, grown, MOVED_SHARE * moved_deg))
-
-
-def _moved_as_a_whole(fit: TextureFit, before: TextureFit) -> bool:
-    pose, earlier = fit.pose, before.pose
-    return (
-        abs(pose.scale - earlier.scale) <= WHOLE_SCALE
-        and abs(pose.gain - earlier.gain) <= WHOLE_GAIN
-        and fit.alike >= before.alike - WHOLE_ALIKE
-        and abs(pose.rotation_deg - earlier.rotation_deg) <= WHOLE_DEG
-        and math.hypot(pose.dx_px - earlier.dx_px, pose.dy_px - earlier.dy_px) <= WHOLE_PX
-    )
