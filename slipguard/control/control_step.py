@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from slipguard.control import force_limits
 from slipguard.control.arm_motion import REPEAT_S, Result, follow_start
 from slipguard.control.messages import (
     HaltJaws,
@@ -37,6 +38,8 @@ from slipguard.control.supervisor import Supervision, supervise
 
 LOST_ALONE_TIMES = 3.0
 """A loss that one finger alone reports, and the gripper does not, must last this many times `lost_after_s`."""
+CARRIED_MM = 3.0
+"""An object that was lifted this far is carried, at least at one end."""
 NOTED_IN = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
 """Phases in which a finger without an estimate is reported; in FAULT, too, while an object is held."""
 NOTE_OVER_S = 1.0
@@ -76,7 +79,11 @@ def step(state: GraspState, observation: Observation, params: GuardParams) -> Re
     watched = observation if lost is None else observation.with_fault(lost)
     at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and state.waits_for_gripper)
     if watched.fault is not None and at_stake:
-        state, output = _halt_jaws(*latch(state, watched, watched.fault, StepOutput()), observation)
+        before = state.phase
+        state, output = latch(state, watched, watched.fault, StepOutput())
+        if before in NOTED_IN:
+            state, output = _grip_unseen(state, output, observation, params)
+        state, output = _halt_jaws(state, output, observation)
         return state, _refuse_request(watched.fault, output, observation)
     before = state.phase
     state, output = act(state, watched, params)
@@ -95,6 +102,26 @@ def _refuse_request(fault: Fault, output: StepOutput, observation: Observation) 
     if observation.request.kind is RequestKind.NONE:
         return output
     return replace(output, refusal=Text.FAULT_LATCHED.message(code=fault.code))
+
+
+def _grip_unseen(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    """Grip an object that is carried and whose rotation no finger can estimate any more, as one without an estimate.
+
+    It may have slipped beyond what the fingers can follow.
+    """
+    fault, fused, arm, start_mm = state.fault, observation.fused, observation.arm, state.held.memory.arm.start_mm
+    carried = arm is not None and start_mm is not None and arm.height_mm - start_mm > CARRIED_MM
+    if fault is None or fault.code is not FaultCode.ESTIMATE_UNTRUSTED or not carried or state.person.forbids_force:
+        return state, output
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    if fused is None or fused.rotation_deg is not None or force_range is None:
+        return state, output
+    target_n = force_range.allowed(params.no_estimate_force_n, state.grip.target_n)
+    if target_n <= state.grip.target_n:
+        return state, output
+    message = Text.NO_ESTIMATE_GRIP.message(why=fused.declined, force_n=target_n)
+    output = replace(output, gripper=HoldForce(target_n)).with_messages(message)
+    return state.with_target(target_n, observation.now_s), output
 
 
 def _follow_arm(state: GraspState, observation: Observation) -> GraspState:

@@ -113,8 +113,8 @@ class GuardParams(_Table):
     force_max_n: Force = 130.0
     """Force limit; set it to what gel and object bear. For the gel no limit is published; this holds 1 kg at 100 mm."""
     no_estimate_force_n: Force = Field(default_factory=_no_estimate_force_n)
-    """Grip before a lift without a rotation estimate (round contacts); raise it for heavy ones. Default: 100, within
-    the two forces above."""
+    """Grip before a lift without a rotation estimate (round contacts), and of a carried object whose estimate is lost;
+    raise it for heavy ones. Default: 100, within the two forces above."""
     gentle: bool = False
     """Tighten in smaller steps, for fragile objects: they get little more force than they need, and slip further. A
     force limit for one object is an option of `slipguard ctl grasp`."""

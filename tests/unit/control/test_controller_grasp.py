@@ -259,3 +259,38 @@ def test_a_force_limit_that_cannot_be_kept_is_refused(values: dict[str, float], 
 
 def test_a_force_limit_that_is_not_lower_changes_nothing() -> None:
     assert PARAMS.limited(None) is PARAMS.limited(PARAMS.force_max_n) is PARAMS
+
+
+# --- the estimate is lost while the object is carried ---
+
+
+def lost(height_mm: float, params: GuardParams = PARAMS, **view: object) -> Play:
+    """Held, carried to this height, and then without a rotation for more than a second."""
+    play = Play(params).held()
+    play.here = arm(height_mm)
+    play.steps(0.5)
+    play.view = changed(play.view, **({"rotation_deg": None, "sigma_deg": None, "declined": "too round"} | view))
+    play.steps(1.2)
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.ESTIMATE_UNTRUSTED
+    return play
+
+
+def test_a_carried_object_that_no_finger_can_follow_any_more_is_gripped_firmer() -> None:
+    play = lost(50.0)
+    assert play.grasp.grip.target_n == pytest.approx(100.0, abs=0.85)
+    assert any("no rotation estimate (too round): gripping with 100 N" in (one.text or "") for one in play.commands)
+    assert sum(one.hold_force_n is not None for one in play.commands) == 2  # the first grip and this one
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "changes", "params"),
+    [
+        (2.0, {}, PARAMS),
+        (50.0, {"rotation_deg": 0.0, "sigma_deg": 0.5, "declined": None, "conflict": "one is stuck"}, PARAMS),
+        (50.0, {}, guard_params(no_estimate_force_n=40.0)),
+    ],
+    ids=["on the table", "contradiction", "no more force configured"],
+)
+def test_otherwise_the_force_stays(height_mm: float, changes: dict[str, object], params: GuardParams) -> None:
+    assert lost(height_mm, params, **changes).grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
