@@ -134,10 +134,10 @@ def test_a_configuration_may_name_them(environment: dict[str, str], tmp_path: Pa
         assert name in ran.stdout
 
 
-def wait_for(reached: Callable[[dict[str, Any]], bool], run: Callable[[str], str], within_s: float = 60.0) -> None:
-    """Wait until the daemon's state is as it should be."""
+def wait_for(reached: Callable[[dict[str, Any]], bool], run: Callable[..., str], within_s: float = 60.0) -> None:
+    """Wait until the daemon's state is as it should be. A daemon that starts may respond late."""
     end_s = time.monotonic() + within_s
-    while not reached(state := json.loads(run("slipguard ctl state --json"))):
+    while "error" in (state := json.loads(run("slipguard ctl state --json", None))) or not reached(state):
         assert time.monotonic() < end_s, state
         Event().wait(0.2)
 
@@ -154,10 +154,10 @@ def test_a_new_user_guards_a_grip(package: Path) -> None:
             text = text.replace(f"source = {number}", f'source = "http://{HOST}:{ports[finger]}"')
         (folder / "config.toml").write_text(text + PATIENT)
 
-        def run(command: str, expected: int = 0) -> str:
+        def run(command: str, expected: int | None = 0) -> str:
             words = [sys.executable, "-m", *shlex.split(command, comments=True)]
             ran = subprocess.run(words, cwd=folder, env=home, capture_output=True, text=True, timeout=90, check=False)
-            assert ran.returncode == expected, ran.stdout + ran.stderr
+            assert expected in (None, ran.returncode), ran.stdout + ran.stderr
             return ran.stdout
 
         (shown,) = (block for block in blocks_of_readme() if "slipguard ctl grasp" in block)
