@@ -80,7 +80,7 @@ def test_another_program_never_undercuts_the_guard() -> None:
         assert f"{guarded_n:.0f} N" in said
         with pytest.raises(CommandRefused, match="opening would drop it; use release"):
             await cell.submit(MoveJawsRequest(width_mm=80.0, force_n=25.0))
-        with pytest.raises(CommandRefused, match="force_max_n"):
+        with pytest.raises(CommandRefused, match="force limit of 130 N"):
             await cell.submit(MoveJawsRequest(force_n=200.0))
         await asyncio.sleep(0.3)
         assert cell.truth.applied_n == pytest.approx(guarded_n)
