@@ -11,6 +11,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 from loop_cell import Cell, play
+from sampled import sampled
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
@@ -59,7 +60,7 @@ STANDS = {"protective_stop", "emergency_stop"}
 
 
 @pytest.mark.parametrize("reach", [closing, lifting, pytest.param(holding, marks=pytest.mark.campaign)])
-@pytest.mark.parametrize(("devices", "kind", "code", "seen"), FAULTS)
+@pytest.mark.parametrize(("devices", "kind", "code", "seen"), sampled(FAULTS, every=2))
 def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
     reach: Reach, devices: tuple[str, ...], kind: str, code: FaultCode, seen: str
 ) -> None:
@@ -122,7 +123,7 @@ def test_a_gripper_still_closing_is_not_declared_empty() -> None:
 
 
 @pytest.mark.parametrize("kind", ["disconnect", "stall", "frozen", "corrupt"])
-@pytest.mark.parametrize("finger", ["left", "right"])
+@pytest.mark.parametrize("finger", sampled(["left", "right"], every=2))
 def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str) -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None

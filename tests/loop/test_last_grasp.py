@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from loop_cell import Cell, play, running
+from sampled import sampled
 
 from slipguard.config import parse_config
 from slipguard.control.control_step import ControlState
@@ -348,7 +349,7 @@ def test_a_note_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: time
     assert "in the future; check the computer's clock" in lines[0]
 
 
-@pytest.mark.parametrize("step", [timedelta(hours=-5), timedelta(minutes=-1), timedelta(hours=5)])
+@pytest.mark.parametrize("step", sampled([timedelta(hours=-5), timedelta(minutes=-1), timedelta(hours=5)]))
 def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
     tmp_path: Path, step: timedelta, monkeypatch: pytest.MonkeyPatch
 ) -> None:

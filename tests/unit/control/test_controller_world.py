@@ -45,7 +45,7 @@ def tightenings(run: Run) -> int:
     return sum(command.hold_force_n is not None and "slip" in (command.text or "") for _, command in run.commands)
 
 
-@pytest.mark.parametrize("seed", sampled(range(24)))
+@pytest.mark.parametrize("seed", sampled(range(24), every=6))
 def test_what_would_slip_is_lifted_and_held(seed: int) -> None:
     run, needed_n = drawn(seed)
     truth = grasp_and_lift(run).world.truth(run.now_s)
@@ -85,7 +85,7 @@ def test_the_worst_cell_in_a_hurry(gel: SoftPad) -> None:
     assert run.world.truth(run.now_s).dropped is None
 
 
-@pytest.mark.parametrize("without_estimate", [("left",), ("right",)])
+@pytest.mark.parametrize("without_estimate", [("left",), pytest.param(("right",), marks=pytest.mark.campaign)])
 def test_one_finger_is_enough(without_estimate: tuple[str, ...]) -> None:
     for seed in range(4):
         run, _ = drawn(seed, without_estimate=without_estimate)

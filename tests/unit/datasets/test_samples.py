@@ -53,6 +53,7 @@ def test_equal_lists_of_backgrounds_give_equal_frames() -> None:
     assert equal(render_sample(70, real_ones()), render_sample(70, real_ones()))
 
 
+@pytest.mark.campaign
 def test_the_manifest_describes_the_frames(many: list[RenderedSample]) -> None:
     for drawn in many:
         for picture in (drawn.image, drawn.background):

@@ -44,6 +44,7 @@ def drawn(kind: int, rng: np.random.Generator, largest_px: int = 44) -> Mask:
     return mask
 
 
+@pytest.mark.campaign
 def test_ten_thousand_random_masks_are_thinned_as_opencv_thins_them() -> None:
     rng = np.random.default_rng(20240817)
     for index in range(10_000):
