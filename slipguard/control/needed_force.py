@@ -52,7 +52,7 @@ UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM = 2.0, 0.4
 ONSET_SPREAD = 0.5
 """Spread of the torsion at the first slip: part of it may have been slip already."""
 TORSION_LEAST_DEG = 0.1
-"""A smaller torsion is the estimate's noise: the gel is at least as stiff as this says."""
+"""A smaller torsion is the estimate's noise: the gel is at least as stiff as this says, and so little is expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,8 +158,8 @@ def borne(force_n: float, friction: LogNormal, stiffness: LogNormal) -> ElasticM
 def after_slip(force_n: float, torsion_deg: float, friction: LogNormal, stiffness: LogNormal) -> LogNormal:
     """Return the friction after the first slip, with the torsion up to which nothing had slipped."""
     expected_deg = onset(force_n, friction.median, stiffness.median).deg
-    difference = math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
-    return friction.moved(difference, friction.spread**2 + stiffness.spread**2 + ONSET_SPREAD**2)
+    total = friction.spread**2 + stiffness.spread**2 + ONSET_SPREAD**2
+    return friction.moved(_log_ratio(torsion_deg, expected_deg), total)
 
 
 def after_lift(
@@ -173,7 +173,7 @@ def after_lift(
 
     def softer(force_n: float, torsion_deg: float) -> float:
         expected_deg = HELD_SHARE * onset(force_n, friction.median, stiffness.median).deg
-        return math.log(max(torsion_deg, TORSION_LEAST_DEG) / expected_deg)
+        return _log_ratio(torsion_deg, expected_deg)
 
     most, least = softer(*since_grip), softer(*since_step)
     total = friction.spread**2 + stiffness.spread**2 + HELD_SPREAD**2 + (0.5 * (most - least)) ** 2
@@ -210,3 +210,8 @@ def needed_force(
     holds = FINGERS * friction.median * present_n if slides else torque_n_m(present_n, friction.median)
     force_n = present_n * ratio ** (1.0 if slides else 1.0 / (1.0 + PAD.gamma))
     return NeededForce(holds * ratio, friction, max(force_n, modelled_n or 0.0), slides)
+
+
+def _log_ratio(torsion_deg: float, expected_deg: float) -> float:
+    """Return the logarithm of measured over expected torsion; a grip with almost no force expects none."""
+    return math.log(max(torsion_deg, TORSION_LEAST_DEG) / max(expected_deg, TORSION_LEAST_DEG))

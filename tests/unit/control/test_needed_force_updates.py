@@ -41,3 +41,10 @@ def test_a_small_rotation_is_judged_by_its_acceleration(rotation_deg: float, rat
     share = math.radians(rate_deg_s**2 / (2.0 * rotation_deg)) / (0.75 * 9.80665 / 0.01)
     found = need.load_ratio(rotation_deg, rate_deg_s, 0.0, 0.0, 10.0, 1.0)
     assert found == pytest.approx(1.0 / (1.0 - share), rel=1e-9)
+
+
+@pytest.mark.parametrize("force_n", [0.0, 1e-300, 1e-9])
+def test_a_grip_with_almost_no_force_teaches_no_infinity(force_n: float) -> None:
+    soft = need.after_lift((force_n, 0.0), (force_n, 10.0), FRICTION, STIFFNESS)
+    slippery = need.after_slip(force_n, 10.0, FRICTION, STIFFNESS)
+    assert all(0.01 < one.median < 10.0 and 0.0 < one.spread < 1.0 for one in (soft, slippery))
