@@ -43,7 +43,7 @@ _ARM_WORDS = {
     "timeout": "no state for|newest response is",
     "protective_stop": "protective stop",
     "emergency_stop": "emergency stop",
-    "stuck": "arm stuck",
+    "stuck": "stuck",
 }
 
 
