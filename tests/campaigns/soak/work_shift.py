@@ -119,7 +119,7 @@ class WorkShift:
         await self._until(lambda: service.ready_to_lift or self._over(), STEP_S, f"{name}: not gripped")
         if self._over():
             return
-        await handlers.submit(LiftRequest())
+        await self._until_accepted(LiftRequest(), self._over)
         await self._until(lambda: service.phase is not Phase.LIFTING, STEP_S, f"{name}: the lift does not end")
         self.counts["lifts"] += 1
         await asyncio.sleep(UNDISTURBED_HOLD_S if self._undisturbed else self._random.uniform(*HOLD_S))
@@ -127,7 +127,7 @@ class WorkShift:
             await self._fault(*self._random.choice(HELD_FAULTS))
         await self._until(lambda: service.ready_to_lift or self._over(), STEP_S, f"{name}: not settled")
         if service.phase is Phase.HOLDING:
-            await handlers.submit(LowerRequest())
+            await self._until_accepted(LowerRequest(), self._over)
             await self._until(lambda: service.phase is not Phase.LOWERING, STEP_S, f"{name}: the lowering does not end")
 
     def _over(self) -> bool:
@@ -155,8 +155,11 @@ class WorkShift:
             self.counts[f"cleared: {fault.code}"] += 1
             await asyncio.sleep(POLL_S)
 
-    async def _until_accepted(self, request: DaemonRequest) -> None:
-        """Repeat a request until it is accepted: a device, or a busy machine, may need a moment."""
+    async def _until_accepted(self, request: DaemonRequest, over: Callable[[], bool] = lambda: False) -> None:
+        """Repeat a request until it is accepted: a device, or a busy machine, may need a moment.
+
+        over: whether it has become pointless; then CommandRefused is raised.
+        """
         loop = asyncio.get_running_loop()
         deadline_s = loop.time() + BACK_S
         while True:
@@ -164,6 +167,8 @@ class WorkShift:
                 await self._handlers.submit(request)
                 return
             except CommandRefused as refusal:
+                if over():
+                    raise
                 if loop.time() > deadline_s:
                     raise WaitTimeout(f"still refused after {BACK_S:g} s: {refusal}") from None
             await asyncio.sleep(POLL_S)
