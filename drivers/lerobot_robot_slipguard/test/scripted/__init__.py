@@ -13,31 +13,10 @@ JOINTS = ("shoulder.pos", "elbow.pos")
 OPEN, CLOSED = 100.0, 0.0
 
 
-@RobotConfig.register_subclass("scripted_arm")
-@dataclass(kw_only=True)
-class ScriptedArmConfig(RobotConfig):
-    """No options."""
+class Connection:
+    """What every device of LeRobot needs apart from its data: this one has nothing to connect or to calibrate."""
 
-
-class ScriptedArm(Robot):
-    """Is where it was sent. sent: all actions, for the tests."""
-
-    config_class = ScriptedArmConfig
-    name = "scripted_arm"
-
-    def __init__(self, config: ScriptedArmConfig) -> None:
-        super().__init__(config)
-        self.sent: list[dict[str, Any]] = []
-        self._positions = dict.fromkeys(JOINTS, 0.0)
-        self._connected = False
-
-    @property
-    def observation_features(self) -> dict[str, type]:
-        return dict.fromkeys(JOINTS, float)
-
-    @property
-    def action_features(self) -> dict[str, type]:
-        return dict.fromkeys(JOINTS, float)
+    _connected = False
 
     @property
     def is_connected(self) -> bool:
@@ -54,6 +33,35 @@ class ScriptedArm(Robot):
 
     def configure(self) -> None: ...
 
+    def disconnect(self) -> None:
+        self._connected = False
+
+
+@RobotConfig.register_subclass("scripted_arm")
+@dataclass(kw_only=True)
+class ScriptedArmConfig(RobotConfig):
+    """No options."""
+
+
+class ScriptedArm(Connection, Robot):
+    """Is where it was sent. sent: all actions, for the tests."""
+
+    config_class = ScriptedArmConfig
+    name = "scripted_arm"
+
+    def __init__(self, config: ScriptedArmConfig) -> None:
+        super().__init__(config)
+        self.sent: list[dict[str, Any]] = []
+        self._positions = dict.fromkeys(JOINTS, 0.0)
+
+    @property
+    def observation_features(self) -> dict[str, type]:
+        return dict.fromkeys(JOINTS, float)
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        return dict.fromkeys(JOINTS, float)
+
     def get_observation(self) -> dict[str, Any]:
         return dict(self._positions)
 
@@ -61,9 +69,6 @@ class ScriptedArm(Robot):
         self.sent.append(action)
         self._positions = {key: min(action[key], 90.0) for key in JOINTS}  # a limit of its own
         return dict(self._positions)
-
-    def disconnect(self) -> None:
-        self._connected = False
 
 
 @TeleoperatorConfig.register_subclass("scripted_person")
@@ -76,7 +81,7 @@ class ScriptedPersonConfig(TeleoperatorConfig):
     opened_s: float
 
 
-class ScriptedPerson(Teleoperator):
+class ScriptedPerson(Connection, Teleoperator):
     """Repeats a schedule, from the first action on."""
 
     config_class = ScriptedPersonConfig
@@ -86,7 +91,6 @@ class ScriptedPerson(Teleoperator):
         super().__init__(config)
         self._config = config
         self._began_s: float | None = None
-        self._connected = False
 
     @property
     def action_features(self) -> dict[str, type]:
@@ -96,21 +100,6 @@ class ScriptedPerson(Teleoperator):
     def feedback_features(self) -> dict[str, type]:
         return {}
 
-    @property
-    def is_connected(self) -> bool:
-        return self._connected
-
-    def connect(self, calibrate: bool = True) -> None:
-        self._connected = True
-
-    @property
-    def is_calibrated(self) -> bool:
-        return True
-
-    def calibrate(self) -> None: ...
-
-    def configure(self) -> None: ...
-
     def get_action(self) -> dict[str, Any]:
         now_s = time.monotonic()
         self._began_s = now_s if self._began_s is None else self._began_s
@@ -119,6 +108,3 @@ class ScriptedPerson(Teleoperator):
         return {"shoulder.pos": 10.0 * t_s, "elbow.pos": -5.0 * t_s, "gripper.pos": CLOSED if closed else OPEN}
 
     def send_feedback(self, feedback: dict[str, Any]) -> None: ...
-
-    def disconnect(self) -> None:
-        self._connected = False
