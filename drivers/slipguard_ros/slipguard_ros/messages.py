@@ -42,7 +42,11 @@ def image_message(image: GelImage, header: Header) -> Image:
     """Return a gel image."""
     message = Image(header=header, height=image.height_px, width=image.width_px, encoding="bgr8", is_bigendian=0)
     message.step = 3 * image.width_px
-    message.data = array.array("B", image.pixels)  # any other type would be checked byte by byte
+    pixels = array.array("B")
+    pixels.frombytes(
+        image.pixels
+    )  # one copy; `array.array("B", image.pixels)` takes each byte by itself, 230,400 times
+    message.data = pixels
     return message
 
 
