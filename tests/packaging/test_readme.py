@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import cv2
 import pytest
 import typer
+from documentation import FILES, code, each_file
 from sandbox import ROOT, Sandbox
 
 from slipguard.cli.app import app
@@ -22,9 +22,6 @@ from tests.campaigns.command_line import app as campaigns
 
 README_MAX_BYTES = 10_240
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-FOLDERS = ("", "slipguard", "drivers", "drivers/slipguard_ros", "systemd", "tests", "models", ".github", "docs/pages")
-FILES = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.md"))]
-each_file = pytest.mark.parametrize("path", FILES, ids=lambda path: path.relative_to(ROOT).as_posix())
 
 PROGRAMS: dict[str, Any] = {
     "slipguard": typer.main.get_command(app),
@@ -79,16 +76,6 @@ NOT_RUN = {
 """Commands that are parsed only, and why."""
 TRY_IT = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/slipguard --sim"
 TEST_IT = "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"
-
-
-def code(text: str) -> Iterator[str]:
-    """Yield the commands of all code blocks, and what stands between back-ticks."""
-    parts = re.split(r"^ *```.*$", text.replace("\\\n", " "), flags=re.M)
-    for block in parts[1::2]:
-        for line in block.splitlines():
-            yield from (step.strip() for step in re.split(r"&&|;", line.partition(" #")[0]))
-    for prose in parts[::2]:
-        yield from re.findall(r"`([^`\n]+)`", prose)
 
 
 def commands(path: Path) -> set[tuple[str, str]]:
@@ -189,7 +176,7 @@ def test_every_path_exists(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     for link in re.findall(r"\]\((?!https?:|mailto:|#)([^)#]+)", text):
         assert (path.parent / link).exists(), link
-    for name in re.findall(r"`((?:slipguard|systemd|tests|models|drivers|\.ci|\.github)/[\w./-]*)`", text):
+    for name in re.findall(r"`((?:slipguard|systemd|tests|models|drivers|\.ci|\.github)/[\w./-]*)[ `]", text):
         assert (ROOT / name).exists() or (path.parent / name).exists(), name
 
 
