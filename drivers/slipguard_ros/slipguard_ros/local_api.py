@@ -13,6 +13,8 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+SYSTEM_SOCKET = "/run/slipguard/slipguard.sock"
+"""Of the daemon that systemd runs."""
 CONNECT_TIMEOUT_S = 5.0
 STREAM_TIMEOUT_S = 45.0
 """The daemon sends a ping every 20 s."""
@@ -27,6 +29,13 @@ class DaemonUnreachable(Exception):
 
 class RequestRefused(Exception):
     """The daemon refused a request; str() is the daemon's reason."""
+
+
+def default_socket() -> str:
+    """Return the socket of this user's daemon if it exists, else that of the system's."""
+    state = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
+    own = os.path.join(state, "slipguard", os.path.basename(SYSTEM_SOCKET))
+    return own if os.path.exists(own) else SYSTEM_SOCKET
 
 
 class LocalApi:

@@ -116,8 +116,9 @@ class SimulatedDaemon:
 class NodeProcess:
     """The node, `slipguard_node`."""
 
-    def __init__(self, socket_path: str, *parameters: str) -> None:
-        words = [word for one in (f"socket:={socket_path}", *parameters) for word in ("-p", one)]
+    def __init__(self, socket_path: str, *parameters: str, parameter_file: Path | None = None) -> None:
+        words = [] if parameter_file is None else ["--params-file", str(parameter_file)]
+        words += [word for one in (f"socket:={socket_path}", *parameters) for word in ("-p", one)]
         self._command = [sys.executable, "-m", "slipguard_ros.node", "--ros-args", *words]
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 from action_msgs.msg import GoalStatus
 from control_msgs.action import ParallelGripperCommand
-from rclpy.action import ActionClient
+from rclpy.action import ActionClient, get_action_names_and_types
 from ros_client import RosClient
 from rosprocesses import NodeProcess, SimulatedDaemon
 
@@ -94,3 +96,18 @@ def test_an_opening_goal_releases_where_that_is_configured(daemon: SimulatedDaem
         assert (status, result.reached_goal) == (GoalStatus.STATUS_SUCCEEDED, True)
         daemon.wait_for("idle")
         gripper.close()
+
+
+def test_moveit_finds_the_action(daemon: SimulatedDaemon, gripper: GripperClient, ros: RosClient) -> None:
+    """MoveIt calls the action `/<controller>/<action_ns>`."""
+    package = Path(__file__).resolve().parents[1]
+    manager = yaml.safe_load((package / "config" / "moveit_controllers.yaml").read_text())[
+        "moveit_simple_controller_manager"
+    ]
+    (name,) = manager["controller_names"]
+    entry = manager[name]
+    actions = dict(get_action_names_and_types(ros.node))
+    assert actions[f"/{name}/{entry['action_ns']}"] == [f"control_msgs/action/{entry['type']}"]
+    readme = (package / "README.md").read_text(encoding="utf-8")
+    assert all(f"`{action}` of type `{kinds[0]}`" in readme for action, kinds in actions.items())
+    assert f"-p joint_name:={entry['joints'][0]} " in readme
