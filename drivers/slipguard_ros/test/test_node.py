@@ -18,11 +18,11 @@ IMAGES = {finger: f"/slipguard/{finger}/image_raw" for finger in ("left", "right
 MEASURE_S = 4.0
 CAMERA_DELAY_S = 0.06
 """The simulated cameras deliver a frame this long after its capture."""
-SHARE_MIN = 0.35
-"""Of the captured frames. On two cores, daemon, node and a subscriber in Python exchange 35 to 40 of 60 a second."""
+SHARE_MIN = 0.9
+"""Of the captured frames."""
 LIMITS = {
     **dict.fromkeys((STATE, ROTATION, FORCE, JOINTS), (8.0, 12.0, 0.2)),
-    **dict.fromkeys(IMAGES.values(), (20.0, 70.0, CAMERA_DELAY_S + 0.2)),
+    **dict.fromkeys(IMAGES.values(), (50.0, 70.0, CAMERA_DELAY_S + 0.05)),
     DIAGNOSTICS: (0.8, 1.2, 0.1),
 }
 """For each topic: the lowest and highest rate, and the largest median age."""
