@@ -44,10 +44,11 @@ LEAN_SMOOTH_DEG, LEAN_DEG = 6.0, 3.0
 """Sigma of the rotation per change of strength from one side to the other, beyond a free amount: an object that is
 tilted rolls, and the imprint of a bent smooth body then rotates although the body does not; edges roll less. Without a
 tilt the change is 0.02-0.15. Chosen on rocking training objects."""
-ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 2.0, 5.0
-"""Sigma of the rotation per frame pixel by which the contact of a smooth object has moved, beyond a free amount: the
-imprint of a body bent with a radius of 20 mm, which rolls, rotates by so much; a banana's twice as fast. At most the
-third number, since a smooth object that slides moves its contact too."""
+ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.25, 1.0, 5.0
+"""Sigma of the rotation per frame pixel by which the contact of a smooth object has moved, beyond a free amount: it may
+have rolled, and then the imprint of a body bent with a radius of 20 mm rotates by 0.16 degrees per pixel, a banana's by
+0.35. A smooth contact that has moved by 1.4 mm is therefore declined, also if it has only slid. Chosen on rocking
+training objects. For a contact with edges that has moved and shrunk, at most the third number."""
 SHRUNK = 1.5
 """Any contact that has moved and shrunk by this factor touches with another part of the object."""
 DOME_SHARE_MAX = 0.3
@@ -88,8 +89,9 @@ class GelContour:
             moved_px: How far the contact has moved without rotating, frame pixels: it may have rolled.
         """
         shrunk = math.log(max(self._area_px, 1) / max(patch.area_px, 1)) / math.log(SHRUNK)
-        rolled = 1.0 if self.smooth else min(max(shrunk, 0.0), 1.0)
-        rolled_deg = rolled * min(ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0), ROLLED_MAX_DEG)
+        rolled_deg = ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0)
+        if not self.smooth:
+            rolled_deg = min(max(shrunk, 0.0), 1.0) * min(rolled_deg, ROLLED_MAX_DEG)
         leaning_deg = (LEAN_SMOOTH_DEG if self.smooth else LEAN_DEG) * max(lean - LEAN_FREE, 0.0)
         rotation = rotation.widened(math.hypot(rolled_deg, leaning_deg))
         if self.edgeless and rotation.sigma_deg is not None:

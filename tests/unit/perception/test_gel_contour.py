@@ -92,3 +92,16 @@ def test_a_contact_that_leans_or_moves_and_shrinks_is_less_certain(
     assert not contour.smooth
     found = contour.check(RotationEstimate(5.0, 0.3), rectangle(30, height_px), 1.0, lean, moved_px)
     assert found.sigma_deg == pytest.approx(sigma_deg, abs=0.02)
+
+
+@pytest.mark.parametrize(("moved_px", "declined"), [(0.0, False), (20.0, False), (30.0, True)])
+def test_a_smooth_contact_that_has_moved_by_more_than_a_millimeter_and_a_half_is_declined(
+    moved_px: float, declined: bool
+) -> None:
+    slightly_bent, slopes = np.full((160, 120), 4.0, np.float32), np.full((160, 120), 40.0, np.float32)
+    patch = rectangle(40, 70)
+    contour = GelContour(TextureMap(ImageWindow(0, 0, 120, 160), slightly_bent), (slopes, slopes), patch)
+    assert contour.smooth
+    found = contour.check(RotationEstimate(0.0, 0.3), patch, 1.0, 0.0, moved_px)
+    assert found.sigma_deg is not None
+    assert (found.sigma_deg > PerceptionSettings().sigma_max_deg) == declined
