@@ -39,7 +39,6 @@ _STEP = np.array([[0.5, -1.5, 1.5, -0.5]], np.float32)
 """Step from line k - 1 to line k, minus the mean of the steps before and after it; on lines k - 2 to k + 1."""
 _SIDES = np.repeat(np.array([[-1.0, 1.0]], np.float32) / SIDE_PX, SIDE_PX, axis=1)
 """Mean of the lines from k on minus that of the lines before k."""
-_ONES = np.ones((1, GROUP_PX), np.float32) / GROUP_PX
 
 Image = NDArray[np.uint8]
 Lines = NDArray[np.float32]
@@ -56,30 +55,16 @@ class Tear:
         return f"{self.along} {self.line}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameLines:
-    """A frame as lines in both directions.
-
-    Attributes:
-        rows: (groups, 320, 3), means of 8 neighboring pixels of each row.
-        columns: (groups, 240, 3), the same of each column.
-    """
-
-    rows: Lines
-    columns: Lines
-
-
 class TornFrames:
     """Compares each frame of one sensor with the last good one."""
 
     def __init__(self) -> None:
         self._good: Image | None = None
-        self._lines: FrameLines | None = None
         self._good_at_s = 0.0
 
     def note_good(self, image: Image, captured_at_s: float) -> None:
         """Note a frame that needs no test; it is kept and must not change."""
-        self._good, self._lines, self._good_at_s = image, None, captured_at_s
+        self._good, self._good_at_s = image, captured_at_s
 
     def note_unread(self, captured_at_s: float) -> None:
         """Note a frame that is not looked at: nothing was refused until then."""
@@ -87,43 +72,42 @@ class TornFrames:
 
     def find(self, image: Image, captured_at_s: float) -> Tear | None:
         """Return where a frame, (320, 240, 3) uint8, is torn; None if it is good, or the first one."""
-        lines, good = frame_lines(image), self._lines
-        if good is None and self._good is not None:
-            good = frame_lines(self._good)
-        tear = None if good is None else find_tear(lines, good)
+        tear = None if self._good is None else find_tear(image, self._good)
         if tear is not None and 0.0 <= captured_at_s - self._good_at_s < REFUSED_MAX_S:
             return tear
-        self._good, self._lines, self._good_at_s = image, lines, captured_at_s
+        self.note_good(image, captured_at_s)
         return None
 
 
-def frame_lines(image: Image) -> FrameLines:
-    """Return the lines of an image, (h, w, 3) uint8; h and w are multiples of 8."""
-    return FrameLines(_grouped(np.asarray(cv2.transpose(image), np.uint8)), _grouped(image))
-
-
-def find_tear(frame: FrameLines, previous: FrameLines) -> Tear | None:
+def find_tear(image: Image, previous: Image) -> Tear | None:
     """Return where a frame is torn; None if it is not, or if its captures do not differ there.
 
     A tear in the previous frame is not attributed to this one.
+
+    Args:
+        image: (h, w, 3) uint8; h and w are multiples of 8.
+        previous: The same shape.
     """
-    for along, now, before in (("column", frame.columns, previous.columns), ("row", frame.rows, previous.rows)):
-        line = _torn_line(now, before)
-        if line is not None:
-            return Tear(along, line)
-    return None
+    change = cv2.subtract(image, previous, dtype=cv2.CV_16S)
+    line = _torn_line(image, previous, np.asarray(change, np.int16))
+    if line is not None:
+        return Tear("column", line)
+    rows = (image.transpose(1, 0, 2), previous.transpose(1, 0, 2), np.asarray(cv2.transpose(change), np.int16))
+    line = _torn_line(*rows)
+    return None if line is None else Tear("row", line)
 
 
-def _grouped(image: Image) -> Lines:
-    """Return means over 8 pixels of the first axis: (n, m, 3) to (n / 8, m, 3)."""
-    count, length = image.shape[0] // GROUP_PX, image.shape[1]
-    pixels = image[: count * GROUP_PX].astype(np.float32).reshape(count, GROUP_PX, 3 * length)
-    return np.asarray((_ONES @ pixels).reshape(count, length, 3), np.float32)
+def _grouped(levels: NDArray[np.int16]) -> Lines:
+    """Return means over 8 pixels of the first axis: (n, m, 3) to (n / 8, m, 3) float32."""
+    count, length = levels.shape[0] // GROUP_PX, levels.shape[1]
+    pixels = levels[: count * GROUP_PX].reshape(count, GROUP_PX, 3 * length)
+    means = pixels.sum(axis=1, dtype=np.int16) * np.float32(1.0 / GROUP_PX)
+    return np.asarray(means.reshape(count, length, 3), np.float32)
 
 
-def _torn_line(now: Lines, before: Lines) -> int | None:
-    """Return the first line of the lower part; lines are the second axis."""
-    difference = now - before
+def _torn_line(image: Image, previous: Image, change: NDArray[np.int16]) -> int | None:
+    """Return the first line of the lower part; lines are the second axis. change: image minus previous."""
+    difference = _grouped(change)
     step = np.asarray(cv2.filter2D(difference, -1, _STEP, anchor=(2, 0)), np.float32)
     sides = np.asarray(cv2.filter2D(difference, -1, _SIDES, anchor=(SIDE_PX, 0)), np.float32)
     inner = slice(SIDE_PX, difference.shape[1] - SIDE_PX + 1)
@@ -139,7 +123,7 @@ def _torn_line(now: Lines, before: Lines) -> int | None:
         nearest, farthest = NEAR_PX
         before_it, after_it = sizes[max(at - farthest, 0) : max(at - nearest + 1, 0)], sizes[at + nearest :][:farthest]
         nearby = float(np.concatenate([before_it, after_it]).max(initial=0.0))
-        if outstanding[at] > OUTSTANDING_MIN * nearby and _is_in(now, before, at + SIDE_PX, sides):
+        if outstanding[at] > OUTSTANDING_MIN * nearby and _is_in(image, previous, at + SIDE_PX, sides):
             return at + SIDE_PX
     return None
 
@@ -159,8 +143,9 @@ def _share(values: NDArray[np.float32], share: float) -> float:
     return float(np.partition(values, place)[place])
 
 
-def _is_in(now: Lines, before: Lines, line: int, sides: Lines) -> bool:
-    """Return whether the step at a line is rather in the first frame than, with the opposite sign, in the other."""
+def _is_in(image: Image, previous: Image, line: int, sides: Lines) -> bool:
+    """Return whether the step at a line is rather in the image than, with the opposite sign, in the previous one."""
     lines = slice(line - 2, line + 2)
-    step = np.einsum("gkc,k->gc", now[:, lines] + before[:, lines], _STEP[0])
+    both = _grouped(np.add(image[:, lines], previous[:, lines], dtype=np.int16))
+    step = np.einsum("gkc,k->gc", both, _STEP[0])
     return bool(_products(step[:, None], np.ascontiguousarray(sides[:, line : line + 1]))[0] > 0.0)

@@ -13,7 +13,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from slipguard.perception.quality.torn_frame import find_tear, frame_lines
+from slipguard.perception.quality.torn_frame import find_tear
 from slipguard.sim.catalogue import object_names
 from tests.campaigns.torn.angle_errors import angle_errors
 from tests.campaigns.torn.closed_loop import torn_lift
@@ -93,7 +93,7 @@ def false_alarms(pairs: Iterable[tuple[str, NDArray[np.uint8], NDArray[np.uint8]
         sizes = (("240x320", before, image), ("120x160", half_size(before), half_size(image)))
         for size, was, now in sizes:
             count = counts[f"{kind}, {size}"]
-            count[0] += find_tear(frame_lines(now), frame_lines(was)) is not None
+            count[0] += find_tear(now, was) is not None
             count[1] += 1
     return dict(counts)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets.mask_scores import read_bgr
-from slipguard.perception.quality.torn_frame import find_tear, frame_lines
+from slipguard.perception.quality.torn_frame import find_tear
 from slipguard.sim import shapes
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.catalogue import object_names
@@ -148,12 +148,11 @@ def spliced(first: Image, second: Image, along: str, line: int) -> Image:
 
 def splice_results(captures: Captures, every: int = 1) -> Iterator[SpliceResult]:
     """Splice at every (`every`-th) row and column, and look for the tear."""
-    previous = frame_lines(captures.previous)
     height, width, _ = captures.first.shape
     for along, count in (("row", height), ("column", width)):
         levels = _difference_levels(captures, along)
         for line in range(1 + (count + every) // 2 % every, count, every):
-            tear = find_tear(frame_lines(spliced(captures.first, captures.second, along, line)), previous)
+            tear = find_tear(spliced(captures.first, captures.second, along, line), captures.previous)
             at_line = tear is not None and (tear.along, tear.line) == (along, line)
             yield SpliceResult(captures.kind, float(levels[line]), tear is not None, at_line)
 

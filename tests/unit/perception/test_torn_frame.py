@@ -14,7 +14,7 @@ from slipguard.devices import Frame
 from slipguard.errors import FrameTorn
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.quality.torn_frame import REFUSED_MAX_S, Tear, TornFrames, find_tear, frame_lines
+from slipguard.perception.quality.torn_frame import REFUSED_MAX_S, Tear, TornFrames, find_tear
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim import shapes
 from slipguard.sim.gel_camera import GelCamera
@@ -42,23 +42,19 @@ def spliced(first: Image, second: Image, along: str, line: int) -> Image:
     return image
 
 
-def tear_in(image: Image, previous: Image) -> Tear | None:
-    return find_tear(frame_lines(image), frame_lines(previous))
-
-
 @pytest.mark.parametrize("along", ["row", "column"])
 def test_a_tear_through_a_moving_contact_is_found_at_its_line(along: str) -> None:
     gel = camera()
     previous, first, second = wrench(gel, 30.0), wrench(gel, 30.0), wrench(gel, 36.0)
     lines = range(100, 220, 10) if along == "row" else range(80, 160, 10)
-    found = [tear_in(spliced(first, second, along, line), previous) for line in lines]
+    found = [find_tear(spliced(first, second, along, line), previous) for line in lines]
     assert found == [Tear(along, line) for line in lines]
 
 
 def test_both_parts_may_be_newer_than_the_previous_frame() -> None:
     gel = camera()
     previous, first, second = wrench(gel, 30.0), wrench(gel, 36.0), wrench(gel, 42.0)
-    assert tear_in(spliced(first, second, "column", 120), previous) == Tear("column", 120)
+    assert find_tear(spliced(first, second, "column", 120), previous) == Tear("column", 120)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 90.0])
@@ -70,13 +66,13 @@ def test_straight_edges_along_the_lines_are_no_tears(angle_deg: float, psf_px: f
         pose = GelView("box", 0.7 * k - 2.0, 0.7 * k - 2.0, angle_deg, 0.9, 40.0, 40.0)
         images.append(gel.draw(pose, raster=STEPPED))
     images.append(images[0])
-    assert not any(tear_in(now, before) for before, now in pairwise(images))
+    assert not any(find_tear(now, before) for before, now in pairwise(images))
 
 
 def test_a_fast_rotation_is_no_tear() -> None:
     gel = camera()
     images = [gel.draw(GelView("wrench", angle_deg=25.0 * k, depth_mm=0.6, rate_deg_s=1500.0)) for k in range(12)]
-    assert not any(tear_in(now, before) for before, now in pairwise(images))
+    assert not any(find_tear(now, before) for before, now in pairwise(images))
 
 
 def test_flickering_columns_and_steps_of_the_light_are_no_tears() -> None:
@@ -85,32 +81,32 @@ def test_flickering_columns_and_steps_of_the_light_are_no_tears() -> None:
     flicker = np.random.default_rng(0).integers(-6, 7, (1, 240, 3))
     brighter = np.where(np.arange(240) < 100, 0, 12)[:, np.newaxis]
     for change in (flicker, flicker + brighter):
-        assert tear_in(np.clip(image + change, 0, 255).astype(np.uint8), wrench(gel, 30.0)) is None
+        assert find_tear(np.clip(image + change, 0, 255).astype(np.uint8), wrench(gel, 30.0)) is None
 
 
 def test_captures_that_do_not_differ_need_no_rejection() -> None:
     gel = camera()
-    assert tear_in(spliced(wrench(gel, 30.0), wrench(gel, 30.0), "column", 120), wrench(gel, 30.0)) is None
+    assert find_tear(spliced(wrench(gel, 30.0), wrench(gel, 30.0), "column", 120), wrench(gel, 30.0)) is None
 
 
 def test_images_without_noise_are_no_tears() -> None:
     flat = np.full((320, 240, 3), 90, np.uint8)
-    assert tear_in(flat, flat) is None
-    assert tear_in(flat + np.uint8(40), flat) is None
+    assert find_tear(flat, flat) is None
+    assert find_tear(flat + np.uint8(40), flat) is None
 
 
 def test_half_size_frames_are_tested_as_well() -> None:
     gel = camera()
     first, second = wrench(gel, 30.0), wrench(gel, 40.0)
     torn = spliced(first[::2, ::2], second[::2, ::2], "row", 80)
-    assert tear_in(torn, wrench(gel, 30.0)[::2, ::2]) == Tear("row", 80)
+    assert find_tear(torn, wrench(gel, 30.0)[::2, ::2]) == Tear("row", 80)
 
 
 def test_the_tear_of_an_earlier_frame_is_not_held_against_a_good_one() -> None:
     gel = camera()
     torn = spliced(wrench(gel, 30.0), wrench(gel, 36.0), "column", 120)
-    assert tear_in(wrench(gel, 30.0), torn) is None
-    assert tear_in(wrench(gel, 36.0), torn) is None
+    assert find_tear(wrench(gel, 30.0), torn) is None
+    assert find_tear(wrench(gel, 36.0), torn) is None
 
 
 @pytest.mark.parametrize("fps", [30.0, 60.0])
