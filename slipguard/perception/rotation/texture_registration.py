@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.rotation.contour_template import sampled
 from slipguard.perception.rotation.round_contact import FAINT_LEVELS
 from slipguard.perception.rotation.texture_map import Field, ImageWindow, TextureMap
-from slipguard.perception.rotation.texture_template import EDGE_PX, TextureTemplate
+from slipguard.perception.rotation.texture_template import EDGE_PX, MOTIONS, TextureTemplate
 
 ITERATIONS_MAX = 8
 ROBUST = 2.5
@@ -48,6 +47,10 @@ SEARCH_STEP_DEG, SEARCH_POINTS = 4.0, 500
 """A search of all rotations takes these steps, with this many points of the texture."""
 SEARCH_STARTS, APART_DEG = 4, 12.0
 """It returns this many of the best, if they are this far apart."""
+
+_DIFFERENCE, _MOTION, _GAIN, _TEMPLATE, _UNMOVED = 0, slice(1, 6), 5, slice(1, 11), 11
+"""Rows of the fields of a fit: the residual; the fields of the template, the motions first, the last of which (gain) is
+its value; and its own unmoved image. All weighted sums follow from one table of their products."""
 
 GHOST_SIGMA_MIN = 0.01
 GHOST_VISIBLE_MIN = 1e-4
@@ -149,94 +152,103 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
     """Register a texture map to the template, from a start within some degrees and pixels."""
     if template.round_reason is not None:
         return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, template.round_reason)
-    rotation, dx, dy, scale, gain = math.radians(start.rotation_deg), start.dx_px, start.dy_px, start.scale, start.gain
-    motion = template.motion
+    fields = np.empty((_UNMOVED + 1, template.value.size), np.float32)
+    fields[_TEMPLATE] = template.fields
+    difference, pose = fields[_DIFFERENCE], start
     for _ in range(ITERATIONS_MAX):
-        value, weight = _sampled_at(template, texture_map, rotation, dx, dy, scale)
-        difference = value - np.float32(gain) * template.value
+        visible = _sample(template, texture_map, pose, difference)
+        difference -= np.float32(pose.gain) * template.value
         square = difference * difference
-        noise2 = max(float(weight @ square) / max(float(weight.sum()), 1.0), 1e-6)
-        weight /= 1.0 + square * np.float32(1.0 / (ROBUST**2 * noise2))
-        weighted = motion.T * weight
-        gains = np.array([gain, gain, gain, gain, 1.0])
-        normal = (weighted @ motion) * (gains[:, None] * gains)
-        gradient = (weighted @ difference) * gains
-        prior = _CORRELATED * noise2 / _PRIOR_STD**2
-        c, s = math.cos(rotation), math.sin(rotation)
-        away_x, away_y = dx - start.dx_px, dy - start.dy_px
-        gradient[1] += prior[1] * (c * away_x - s * away_y)
-        gradient[2] += prior[2] * (s * away_x + c * away_y)
-        gradient[3] -= prior[3] * (scale - 1.0)
-        gradient[4] -= prior[4] * (gain - 1.0)
-        regularized = normal.copy()
-        regularized.flat[::6] += prior + 1e-7 * normal.trace()
-        step = np.linalg.solve(regularized, gradient)
-        rotation_step = min(max(float(step[0]), -0.2), 0.2)
-        move_x, move_y = float(step[1]), float(step[2])
-        scale = min(max(scale + float(step[3]), 0.5), 2.0)
-        gain = min(max(gain + float(step[4]), 0.2), 5.0)
-        # Inverse composition: apply the inverse of the step before the current pose.
-        rotation -= rotation_step
-        c, s = math.cos(rotation), math.sin(rotation)
-        dx -= c * move_x + s * move_y
-        dy -= -s * move_x + c * move_y
-        if abs(rotation_step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04:
+        noise2 = max(float(visible @ square) / max(float(visible.sum()), 1.0), 1e-6)
+        weight = visible / (1.0 + square * np.float32(1.0 / (ROBUST**2 * noise2)))
+        products, fitted = _products(fields[: _GAIN + 1], weight), pose
+        normal, pose, converged = _improved(products, fitted, start, noise2)
+        if converged:
             break
-    pose = TexturePose(math.degrees(rotation), dx, dy, scale, gain)
     left, top = (round(at - inside) for at, inside in zip(template.center_px, template.origin_px, strict=True))
-    reference_map = TextureMap(ImageWindow(left, top, 0, 0), template.image)
-    unmoved, visible = _sampled_at(template, reference_map, rotation, dx, dy, scale)
-    ghost, bias = find_ghost(motion, weight * visible, difference, unmoved)
-    moving = difference  # what a ghost leaves is no deformation
-    if ghost.share > GHOST_SIGMAS * ghost.sigma:
-        moving = difference - np.float32(ghost.share) * unmoved
-    uneven = uneven_share(template, weight * visible, moving)
-    twist_deg, lean = local_changes(template, visible * weight, moving)
-    fit = _result(template, texture_map.noise, pose, regularized, difference, value, weight, bias, ghost, uneven)
-    return replace(fit, twist_deg=twist_deg, lean=lean)
+    own_map = TextureMap(ImageWindow(left, top, 0, 0), template.image)
+    in_both = weight * _sample(template, own_map, pose, fields[_UNMOVED])
+    by_both = _products(fields, in_both)
+    ghost, bias = find_ghost(by_both, float(in_both.sum()))
+    left_over = np.zeros(len(fields), np.float32)
+    left_over[_DIFFERENCE] = 1.0
+    if ghost.share > GHOST_SIGMAS * ghost.sigma:  # what a ghost leaves is no deformation
+        left_over[_UNMOVED] = -ghost.share
+    uneven = uneven_share(by_both, left_over, template.value.size)
+    twist_deg, lean = local_changes(template, in_both, left_over @ fields)
 
-
-def _result(
-    template: TextureTemplate,
-    noise: float,
-    pose: TexturePose,
-    normal: NDArray[np.float64],
-    difference: Field,
-    value: Field,
-    weight: Field,
-    bias: float,
-    ghost: Ghost,
-    uneven: float,
-) -> TextureFit:
     mass = max(float(weight.sum()), 1e-6)
     covariance = np.linalg.inv(normal)[0]
-    gains = np.array([pose.gain, pose.gain, pose.gain, pose.gain, 1.0])
-    pull = (template.motion @ (covariance * gains).astype(np.float32)) * weight * difference
+    pull = ((covariance * _gains(pose)).astype(np.float32) @ template.motion) * weight * difference
     parts = np.bincount(template.block, pull)
     spread_deg = math.degrees(math.sqrt(float(parts @ parts)))
     levels = math.sqrt(1.0 / max(float(covariance[0]), 1e-12) / mass)  # change of the texture by a radian
-    own2 = max(float(weight @ template.value**2) / mass, 1e-9)
-    now2 = max(float(weight @ value**2) / mass, 1e-9)
-    both2 = float((weight * value) @ template.value) / mass
+    left2 = float(products[_DIFFERENCE, _DIFFERENCE]) / mass
+    both2 = float(products[_DIFFERENCE, _GAIN] + fitted.gain * products[_GAIN, _GAIN]) / mass
+    own2 = max(float(products[_GAIN, _GAIN]) / mass, 1e-9)
+    now2 = max(left2 + fitted.gain * (2.0 * both2 - fitted.gain * own2), 1e-9)
     alike = both2 / math.sqrt(own2 * now2)
-    clean2, clean_now2 = max(own2 - template.noise**2, 1e-2 * own2), max(now2 - noise**2, 1e-2 * now2)
-    noise2 = noise**2 + (pose.gain * template.noise) ** 2
-    left2 = float(weight @ difference**2) / mass - NOISE_LEFT * noise2
-    visible = float(np.count_nonzero(weight)) / weight.size
+    noise2, own_noise2 = texture_map.noise**2, template.noise**2
+    clean2, clean_now2 = max(own2 - own_noise2, 1e-2 * own2), max(now2 - noise2, 1e-2 * now2)
+    noise2 += pose.gain**2 * own_noise2
+    beyond_noise2 = max(left2 - NOISE_LEFT * noise2, 0.0)
     return TextureFit(
         pose,
         spread_deg=min(max(spread_deg, 1e-3), 180.0),
         noise_deg=min(math.degrees(math.sqrt(noise2) / levels), 180.0),
-        misfit_deg=min(math.degrees(math.sqrt(max(left2, 0.0)) / levels), 180.0),
+        misfit_deg=min(math.degrees(math.sqrt(beyond_noise2) / levels), 180.0),
         change=levels / (abs(pose.gain) * math.sqrt(own2)),
         alike=alike,
         deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
         strength=math.sqrt(clean2),
-        declined=_declined(visible, alike, uneven),
+        declined=_declined(float(visible.sum()) / visible.size, alike, uneven),
         static_bias_deg=bias * abs(pose.rotation_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
         ghost=replace(ghost, pull_deg=ghost.pull_deg / pose.gain),
         uneven=uneven,
+        twist_deg=twist_deg,
+        lean=lean,
     )
+
+
+def _improved(
+    products: NDArray[np.float64], pose: TexturePose, start: TexturePose, noise2: float
+) -> tuple[NDArray[np.float64], TexturePose, bool]:
+    """Return the normal equations of one step, the pose after it, and whether the step was small."""
+    gains = _gains(pose)
+    gradient = products[_MOTION, _DIFFERENCE] * gains
+    prior = _CORRELATED * noise2 / _PRIOR_STD**2
+    rotation = math.radians(pose.rotation_deg)
+    c, s = math.cos(rotation), math.sin(rotation)
+    away_x, away_y = pose.dx_px - start.dx_px, pose.dy_px - start.dy_px
+    gradient[1] += prior[1] * (c * away_x - s * away_y)
+    gradient[2] += prior[2] * (s * away_x + c * away_y)
+    gradient[3] -= prior[3] * (pose.scale - 1.0)
+    gradient[4] -= prior[4] * (pose.gain - 1.0)
+    normal = products[_MOTION, _MOTION] * (gains[:, None] * gains)
+    normal.flat[:: MOTIONS + 1] += prior + 1e-7 * normal.trace()
+    step, move_x, move_y, grow, strengthen = np.linalg.solve(normal, gradient).tolist()
+    step = min(max(step, -0.2), 0.2)
+    # Inverse composition: apply the inverse of the step before the current pose.
+    rotation -= step
+    c, s = math.cos(rotation), math.sin(rotation)
+    better = TexturePose(
+        math.degrees(rotation),
+        pose.dx_px - (c * move_x + s * move_y),
+        pose.dy_px - (c * move_y - s * move_x),
+        min(max(pose.scale + grow, 0.5), 2.0),
+        min(max(pose.gain + strengthen, 0.2), 5.0),
+    )
+    return normal, better, abs(step) < 8e-4 and abs(move_x) + abs(move_y) < 0.04
+
+
+def _gains(pose: TexturePose) -> NDArray[np.float64]:
+    """Return by how much a texture of this strength changes more than the template's, by motion."""
+    return np.array([pose.gain, pose.gain, pose.gain, pose.gain, 1.0])
+
+
+def _products(fields: Field, weight: Field) -> NDArray[np.float64]:
+    """Return the weighted sums of the products of every two fields, (k, k). fields: (k, N)."""
+    return ((fields * weight) @ fields.T).astype(np.float64)
 
 
 def _declined(visible: float, alike: float, uneven: float) -> str | None:
@@ -249,18 +261,21 @@ def _declined(visible: float, alike: float, uneven: float) -> str | None:
     return explain(DeclineReason.CONTACT_CHANGED, f"texture correlates by {alike:.2f}, limit {ALIKE_MIN:.2f}")
 
 
-def _sampled_at(
-    template: TextureTemplate, texture_map: TextureMap, rotation: float, dx: float, dy: float, scale: float
-) -> tuple[Field, Field]:
-    """Return the map's values where the template's points have moved to, and 1 for points within the image, else 0."""
-    window = texture_map.window
-    c, s = np.float32(scale * math.cos(rotation)), np.float32(scale * math.sin(rotation))
-    x = template.x_px * c + template.y_px * s + np.float32(template.center_px[0] + dx - window.left_px)
-    y = template.y_px * c - template.x_px * s + np.float32(template.center_px[1] + dy - window.top_px)
+def _sample(template: TextureTemplate, texture_map: TextureMap, pose: TexturePose, values: Field) -> Field:
+    """Write the map's values where the template's points are now; return 1 for points within the image, else 0."""
+    window, rotation = texture_map.window, math.radians(pose.rotation_deg)
+    c, s = pose.scale * math.cos(rotation), pose.scale * math.sin(rotation)
+    right = template.center_px[0] + pose.dx_px - window.left_px
+    down = template.center_px[1] + pose.dy_px - window.top_px
+    place = np.array([[c, s, right], [-s, c, down]], np.float32) @ template.place
+    # As one row: OpenCV takes six times as long for a column.
+    cv2.remap(
+        texture_map.curvature, place[:1], place[1:], cv2.INTER_LINEAR, values.reshape(1, -1), cv2.BORDER_REPLICATE
+    )
     rows, columns = texture_map.curvature.shape
-    value = sampled(texture_map.curvature, x, y, cv2.BORDER_REPLICATE)
-    inside = (x >= EDGE_PX) & (x <= columns - 1 - EDGE_PX) & (y >= EDGE_PX) & (y <= rows - 1 - EDGE_PX)
-    return value, inside.astype(np.float32)
+    farthest = np.array([[columns - 1 - EDGE_PX], [rows - 1 - EDGE_PX]], np.float32)
+    inside = (place >= EDGE_PX) & (place <= farthest)
+    return np.asarray(inside[0] & inside[1], np.float32)
 
 
 def likely_rotations_deg(
@@ -289,20 +304,24 @@ def likely_rotations_deg(
     return found
 
 
-def uneven_share(template: TextureTemplate, weight: Field, difference: Field) -> float:
-    """Return the share of the fit's squared residual that uneven deformation explains, beyond what chance does."""
-    rows = np.concatenate([template.motion.T, template.deform.T])
-    weighted = rows * weight
-    normal = (weighted @ rows.T).astype(np.float64)
+def uneven_share(products: NDArray[np.float64], left: Field, points: int) -> float:
+    """Return the share of the fit's squared residual that uneven deformation explains, beyond what chance does.
+
+    Args:
+        products: Weighted products of the fields of a fit.
+        left: The residual, as shares of these fields.
+        points: Number of points.
+    """
+    normal, gradient = products[_TEMPLATE, _TEMPLATE], products[_TEMPLATE] @ left
     scale = np.sqrt(normal.diagonal()) + 1e-9
-    normal /= scale[:, None] * scale
+    normal = normal / (scale[:, None] * scale)
     normal.flat[:: len(normal) + 1] += 1e-6
-    gradient = (weighted @ difference).astype(np.float64) / scale
+    gradient /= scale
     explained = float(gradient @ np.linalg.solve(normal, gradient))
-    rigid = gradient[:5]
-    by_motion = float(rigid @ np.linalg.solve(normal[:5, :5], rigid))
-    left = max(float(weight @ difference**2) - by_motion, 1e-9)
-    return max((explained - by_motion) / left - UNEVEN_CHANCE / len(weight), 0.0)
+    rigid = gradient[:MOTIONS]
+    by_motion = float(rigid @ np.linalg.solve(normal[:MOTIONS, :MOTIONS], rigid))
+    remaining = max(float(left @ products @ left) - by_motion, 1e-9)
+    return max((explained - by_motion) / remaining - UNEVEN_CHANCE / points, 0.0)
 
 
 def local_changes(template: TextureTemplate, weight: Field, difference: Field) -> tuple[float, float]:
@@ -310,17 +329,18 @@ def local_changes(template: TextureTemplate, weight: Field, difference: Field) -
 
     Every visible point has the same weight: a robust fit would leave out a middle that moves differently.
     """
-    left = difference * (weight > 0.0)
-    noise = CHANCE * math.sqrt(_CORRELATED * float(left @ left) / max(int(np.count_nonzero(weight)), 1))
-    found = (left @ template.local).astype(np.float64)
-    sigma = noise * np.sqrt(np.einsum("ij,ij->j", template.local, template.local))
+    visible = weight > 0.0
+    left = difference * visible
+    noise = CHANCE * math.sqrt(_CORRELATED * float(left @ left) / max(int(np.count_nonzero(visible)), 1))
+    found = (template.local @ left).astype(np.float64)
+    sigma = noise * template.local_size
     near_axis, near_center, right, down = np.sqrt(np.maximum(found**2 - sigma**2, 0.0)).tolist()
     angles_deg = (min(math.degrees(near), TWIST_MAX_DEG) for near in (near_axis, near_center))
     twist_deg = math.hypot(*(share * angle for share, angle in zip(TWIST_SHARES, angles_deg, strict=True)))
     return twist_deg, math.hypot(right, down)
 
 
-def find_ghost(motion: Field, weight: Field, difference: Field, unmoved: Field) -> tuple[Ghost, float]:
+def find_ghost(products: NDArray[np.float64], mass: float) -> tuple[Ghost, float]:
     """Return how much of the reference stays in place (a gel's memory), and the bias by any pattern that does (dirt).
 
     If a share a of an image stays and 1 - a rotates, a fit of small rotations finds 1 - a of the rotation. It leaves
@@ -328,25 +348,19 @@ def find_ghost(motion: Field, weight: Field, difference: Field, unmoved: Field) 
     by least squares. The bias is a share of the found rotation, 0 to `STATIC_BIAS_MAX`.
 
     Args:
-        motion: (N, 5), change of the reference by each motion.
-        weight: (N,), of the fit.
-        difference: (N,), residual of the fit.
-        unmoved: (N,), the reference's own image where its points have moved to.
+        products: Weighted products of the fields of a fit.
+        mass: Sum of the weights.
     """
-    weighted = motion.T * weight
-    normal = (weighted @ motion).astype(np.float64)
-    normal += 1e-9 * (float(np.trace(normal)) + 1e-9) * np.eye(len(normal))
-    explained = np.linalg.solve(normal, (weighted @ unmoved).astype(np.float64)).astype(np.float32)
-    static = unmoved - motion @ explained
-    weighted_static = weight * static
-    square = float(weighted_static @ static) + 1e-9
-    found = float(weighted_static @ difference)
-    whole = float(weight @ unmoved**2)
+    normal, unmoved = products[_MOTION, _MOTION], products[_MOTION, _UNMOVED]
+    explained = np.linalg.solve(normal + 1e-9 * (normal.trace() + 1e-9) * np.eye(MOTIONS), unmoved)
+    whole = float(products[_UNMOVED, _UNMOVED])
+    square = max(whole + float(explained @ (normal @ explained - 2.0 * unmoved)), 0.0) + 1e-9
+    found = float(products[_DIFFERENCE, _UNMOVED] - explained @ products[_MOTION, _DIFFERENCE])
     bias = min(max(found / (square + STATIC_PRIOR * whole), 0.0), STATIC_BIAS_MAX)
     pull_deg = math.degrees(float(explained[0]))
     if square < GHOST_VISIBLE_MIN * whole:
         return Ghost(0.0, math.inf, pull_deg), bias
-    left2 = max(float(weight @ difference**2) - found**2 / square, 0.0) / max(float(weight.sum()), 1e-9)
+    left2 = max(float(products[_DIFFERENCE, _DIFFERENCE]) - found**2 / square, 0.0) / max(mass, 1e-9)
     sigma = max(math.sqrt(_CORRELATED * left2 / square), GHOST_SIGMA_MIN)
     return Ghost(found / square, sigma, pull_deg), bias
 

@@ -29,6 +29,8 @@ differences that do not rotate with it."""
 SMOOTH = 0.8
 """Change of the texture per pixel along a shaft over the camera's noise, r.m.s., below which it is noise: 0.53-0.7 for
 featureless shafts, from 1 for those with an end or a face."""
+MOTIONS = 5
+"""Fitted motions: rotation, two shifts, scale and gain."""
 PERIOD_MAX_DEG = 124.0
 """A triangle repeats at 120 degrees. A texture with a period of 180 is taken as unrotated, as axes are."""
 PERIOD_STEP_DEG = 2.0
@@ -41,10 +43,11 @@ regular polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square'
 class TextureTemplate:
     """The reference's texture: points around its center, their values and their change by each motion.
 
-    x_px, y_px, value: (N,) float32. motion: (N, 5) float32, change by rotation, shift x, shift y, scale, gain.
-    deform: (N, 5), change by uneven deformation of the gel: twist, two strains, two bends.
-    local: (N, 4), weights of a fit's residual that sum up to the rotation (radians) of what is near the grasp axis, and
-    near the contact's center; and to the growth of strength to the right, and downwards (share per r.m.s. distance).
+    place: (3, N) float32, right and down of the center, and 1. fields: (10, N) float32, change by rotation, shift x,
+    shift y, scale and gain, the last of which is the value itself; then by uneven deformation of the gel: twist, two
+    strains, two bends. local: (4, N), weights of a fit's residual that sum up to the rotation (radians) of what is near
+    the grasp axis, and near the contact's center; and to the growth of strength to the right, and downwards (share per
+    r.m.s. distance). local_size: (4,), their norms.
     block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
     only noise changes, so that a shift is invisible; None if there is none.
     noise: the camera's share of the values, r.m.s. image, origin_px: the source of the points, and the center in it.
@@ -52,12 +55,10 @@ class TextureTemplate:
     round_reason: None, or why the contact counts as round.
     """
 
-    x_px: Field
-    y_px: Field
-    value: Field
-    motion: Field
-    deform: Field
+    place: Field
+    fields: Field
     local: Field
+    local_size: NDArray[np.float64]
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
     center_px: tuple[float, float]
@@ -66,6 +67,22 @@ class TextureTemplate:
     origin_px: tuple[float, float]
     mask: NDArray[np.uint8]
     round_reason: str | None
+
+    @property
+    def x_px(self) -> Field:
+        return np.asarray(self.place[0], np.float32)
+
+    @property
+    def y_px(self) -> Field:
+        return np.asarray(self.place[1], np.float32)
+
+    @property
+    def motion(self) -> Field:
+        return self.fields[:MOTIONS]
+
+    @property
+    def value(self) -> Field:
+        return np.asarray(self.fields[MOTIONS - 1], np.float32)
 
 
 def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTemplate | None:
@@ -92,18 +109,17 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
     blur = cv2.GaussianBlur(curvature, (0, 0), COARSE_PX)
     coarse = _motion(np.asarray(blur, np.float32), x, y, dx, dy)
     motion = _motion(curvature, x, y, dx, dy)
-    smooth = _smooth_direction(motion[:, 1:3], texture_map.noise)
+    smooth = _smooth_direction(motion[1:3], texture_map.noise)
     if smooth is not None:  # a shift measured on noise would wander from frame to frame
-        motion[:, 1:3] -= np.outer(motion[:, 1:3] @ smooth, smooth)
+        motion[1:3] -= np.outer(smooth, smooth @ motion[1:3])
+    local = _local_weights(motion, dx, dy, (center_x + window.left_px, center_y + window.top_px))
     block = np.floor(dx / BLOCK_PX).astype(np.intp) * 64 + np.floor(dy / BLOCK_PX).astype(np.intp)
-    strength = math.sqrt(float(np.mean(np.square(curvature[y, x]))))
+    strength = math.sqrt(float(np.mean(np.square(motion[4]))))
     return TextureTemplate(
-        dx,
-        dy,
-        curvature[y, x],
-        motion,
-        _deformations(motion, dx, dy),
-        _local_weights(motion, dx, dy, (center_x + window.left_px, center_y + window.top_px)),
+        np.stack([dx, dy, np.ones_like(dx)]),
+        np.concatenate([motion, _deformations(motion, dx, dy)]),
+        local,
+        np.sqrt(np.einsum("ij,ij->i", local, local).astype(np.float64)),
         np.unique(block, return_inverse=True)[1],
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (center_x + window.left_px, center_y + window.top_px),
@@ -111,7 +127,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         curvature,
         (center_x, center_y),
         np.asarray(wide, np.uint8),
-        round_texture_reason(_change_by_rotation(coarse.T @ coarse), strength),
+        round_texture_reason(_change_by_rotation(coarse @ coarse.T), strength),
     )
 
 
@@ -138,31 +154,30 @@ def period_deg(template: TextureTemplate) -> float | None:
 
 
 def _motion(image: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field, dy: Field) -> Field:
-    """Return the change of the image's values by rotation, shift x, shift y, scale and gain: (N, 5) float32."""
+    """Return the change of the image's values by rotation, shift x, shift y, scale and gain: (5, N) float32."""
     gx = cv2.Sobel(image, cv2.CV_32F, 1, 0, scale=0.125)[y, x]
     gy = cv2.Sobel(image, cv2.CV_32F, 0, 1, scale=0.125)[y, x]
     # A counter-clockwise rotation moves (dx, dy), y down, by (dy, -dx) per radian.
-    # Each motion is contiguous in memory: that is how the registration reads them.
-    return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), image[y, x]]), np.float32).T
+    return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), image[y, x]]), np.float32)
 
 
 def _deformations(motion: Field, dx: Field, dy: Field) -> Field:
-    """Return the change of the image's values by deformations that are not a motion: (N, 5) float32.
+    """Return the change of the image's values by deformations that are not a motion: (5, N) float32.
 
     A rotation that grows with the distance from the center (twist, partial slip), stretch along one diagonal or axis
     and shortening across it (shear), and a shift that grows with that distance (bend).
     """
-    gx, gy = motion[:, 1], motion[:, 2]
+    gx, gy = motion[1:3]
     square = dx * dx + dy * dy
     far = square / max(float(square.mean()), 1e-6)
     strains = [gx * dx - gy * dy, gx * dy + gy * dx]
     size = np.sqrt(np.float32(square.mean()))
-    return np.asarray(np.stack([(gx * dy - gy * dx) * far, *strains, gx * far * size, gy * far * size]), np.float32).T
+    return np.asarray(np.stack([(gx * dy - gy * dx) * far, *strains, gx * far * size, gy * far * size]), np.float32)
 
 
 def _local_weights(motion: Field, dx: Field, dy: Field, center_px: tuple[float, float]) -> Field:
-    """Return the weights that measure what partial slip and a tilt do, each next to the motions: (N, 4) float32."""
-    gx, gy, value = motion[:, 1], motion[:, 2], motion[:, 4]
+    """Return the weights that measure what partial slip and a tilt do, each next to the motions: (4, N) float32."""
+    gx, gy, value = motion[1], motion[2], motion[4]
 
     def rotation_near(x_px: float, y_px: float) -> Field:
         x, y = dx - np.float32(x_px - center_px[0]), dy - np.float32(y_px - center_px[1])
@@ -170,16 +185,16 @@ def _local_weights(motion: Field, dx: Field, dy: Field, center_px: tuple[float, 
 
     size = np.sqrt(np.mean(dx * dx + dy * dy))
     near_axis = rotation_near((WIDTH_PX - 1) / 2.0, (HEIGHT_PX - 1) / 2.0)
-    local = np.stack([near_axis, rotation_near(*center_px), value * dx / size, value * dy / size]).T.astype(np.float64)
-    normal = (motion.T @ motion).astype(np.float64)
+    local = np.stack([near_axis, rotation_near(*center_px), value * dx / size, value * dy / size]).astype(np.float64)
+    normal = (motion @ motion.T).astype(np.float64)
     normal += 1e-6 * (float(np.trace(normal)) + 1e-9) / len(normal) * np.eye(len(normal))
-    local -= motion @ np.linalg.solve(normal, motion.T @ local)
-    return np.asarray(np.ascontiguousarray((local / np.maximum(np.sum(local**2, axis=0), 1e-9)).T), np.float32).T
+    local -= np.linalg.solve(normal, motion @ local.T).T @ motion
+    return np.asarray(local / np.maximum(np.sum(local**2, axis=1, keepdims=True), 1e-9), np.float32)
 
 
 def _smooth_direction(shifts: Field, noise: float) -> Field | None:
-    """Return the direction in which a shift changes least, if that is no more than noise. shifts: (N, 2)."""
-    square, axes = np.linalg.eigh(shifts.T @ shifts / len(shifts))
+    """Return the direction in which a shift changes least, if that is no more than noise. shifts: (2, N)."""
+    square, axes = np.linalg.eigh(shifts @ shifts.T / shifts.shape[1])
     return None if square[0] >= (SMOOTH * noise) ** 2 else np.asarray(axes[:, 0], np.float32)
 
 

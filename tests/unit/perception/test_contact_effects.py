@@ -52,10 +52,10 @@ def test_a_middle_that_slips_and_a_body_that_rolls_are_within_sigma(effect: Effe
 def test_a_middle_that_rotates_by_itself_and_a_stronger_side_are_measured() -> None:
     template = texture_template()
     weight = np.ones(len(template.value), np.float32)
-    rigid = np.asarray(0.05 * template.motion[:, 0] + 0.3 * template.motion[:, 1], np.float32)
+    rigid = np.asarray(0.05 * template.motion[0] + 0.3 * template.motion[1], np.float32)
     assert local_changes(template, weight, rigid) == (pytest.approx(0.0, abs=0.05), pytest.approx(0.0, abs=0.01))
     near = np.exp(-(template.x_px**2 + template.y_px**2) / NEAR_PX**2)
-    middle = np.asarray(np.radians(4.0) * template.motion[:, 0] * near, np.float32)
+    middle = np.asarray(np.radians(4.0) * template.motion[0] * near, np.float32)
     assert local_changes(template, weight, rigid + middle)[0] > 1.0
     size_px = np.sqrt(np.mean(template.x_px**2 + template.y_px**2))
     stronger = np.asarray(0.3 * template.value * template.x_px / size_px, np.float32)
