@@ -51,12 +51,13 @@ class ContactSegmenter(Protocol):
 class _WholeContact:
     """The last segmented contact: block means, its estimate, and its difference in light.
 
-    near, around: (1200,) bool, the blocks in and next to it, and one further, which it may reach until the next one.
+    near: (1200,) bool, the blocks in and next to it. away: (1200,) float32, 0 for these and the blocks next to them,
+    which it may reach until the next one, 1 elsewhere.
     """
 
     blocks: Blocks
     near: NDArray[np.bool_]
-    around: NDArray[np.bool_]
+    away: NDArray[np.float32]
     estimate: Estimate
     difference_levels: float
 
@@ -224,8 +225,8 @@ class Pipeline:
         timer.mark("track")
         self._note_measured(blocks, near, unchanged, estimate)
         if rotation.rotation_deg is not None and shift is not None:
-            around = blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))
-            self._whole = _WholeContact(blocks, near, around, estimate, quality.difference_levels)
+            away = (~blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))).astype(np.float32)
+            self._whole = _WholeContact(blocks, near, away, estimate, quality.difference_levels)
         return estimate
 
     def _measure_texture(
@@ -238,7 +239,7 @@ class Pipeline:
         still = unchanged and self._changes is not None and whole.estimate.captured_at_s >= self._changes.since_s
         if not 0.0 <= now_s - whole.estimate.captured_at_s < (STILL_SEGMENT_S if still else SEGMENT_S):
             return None
-        if self._gate.changed(blocks, whole.blocks, ~whole.around):
+        if self._gate.changed(blocks, whole.blocks, whole.away):
             return None
         measurement = self._meter.measure_texture(image, patch, now_s)
         timer.mark("relief")

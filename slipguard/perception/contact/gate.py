@@ -101,9 +101,8 @@ class ContactGate:
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)
         self._drift: NDArray[np.float32] = np.linalg.qr(drift)[0].astype(np.float32)
 
-    def changed(self, blocks: Blocks, before: Blocks, within: NDArray[np.bool_]) -> bool:
-        """Return whether any of some blocks, (1200,) bool, has changed by more than noise and an even light."""
-        weight = within.astype(np.float32)
+    def changed(self, blocks: Blocks, before: Blocks, weight: NDArray[np.float32]) -> bool:
+        """Return whether a block of weight 1, (1200,) 0 or 1, has changed by more than noise and an even light."""
         difference = blocks - before
         difference -= weight @ difference / max(float(weight.sum()), 1.0)
         difference *= self.inverse_std

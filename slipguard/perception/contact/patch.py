@@ -79,7 +79,7 @@ class Patch:
     @property
     def area_px(self) -> int:
         """Area in frame pixels (240 x 320)."""
-        return round(int(np.count_nonzero(self.mask)) * self.frame_px**2)
+        return round(cv2.countNonZero(self.mask) * self.frame_px**2)
 
     @property
     def center_px(self) -> tuple[float, float]:

@@ -168,9 +168,11 @@ class RotationTracker:
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Return the slope over the last `RATE_WINDOW_S`, over at least three rotations; None with fewer."""
-        recent = [(t, v) for t, v in self._history if now_s - t <= RATE_STALE_S]
-        within = [(t, v) for t, v in recent if now_s - t <= RATE_WINDOW_S + 1e-9]
-        points = within if len(within) >= 3 else recent[-3:]
+        points: list[tuple[float, float]] = []
+        for at_s, rotation_deg in reversed(self._history):
+            if now_s - at_s > (RATE_WINDOW_S + 1e-9 if len(points) >= 3 else RATE_STALE_S):
+                break
+            points.append((at_s, rotation_deg))
         if len(points) < 3:
             return None
         mean_t = sum(t for t, _ in points) / len(points)
