@@ -170,7 +170,7 @@ class RotationMeter:
         remembers = remembers and texture is not None and texture.rotation_deg is not None
         if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
             rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
-            self._note_segmented(found, rotation)
+            self._note_segmented(now_s, found, rotation)
             shift = reference.shift.measure(now_s, patch, found, center_shift_px)
             return self._accept(now_s, reference, rotation, patch, shift, found, axes, by_texture=True)
 
@@ -193,7 +193,7 @@ class RotationMeter:
             1.0 if found is None else found.deformation,
             uneven_deg,
         )
-        self._note_segmented(found, rotation)
+        self._note_segmented(now_s, found, rotation)
         shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
         return self._accept(now_s, reference, rotation, patch, shift, found, axes)
 
@@ -217,15 +217,15 @@ class RotationMeter:
             return None
         found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None), take_key=False)
         self._tried = now_s, texture_map, found
-        rotation = before.rotation_in(found)
+        rotation = before.rotation_in(found, now_s)
         if rotation is None:
             return None
         shift = reference.shift.follow(now_s, found)
         return self._accept(now_s, reference, rotation, patch, shift, found, {}, by_texture=rotation is found.rotation)
 
-    def _note_segmented(self, found: TrackedTexture | None, fused: RotationEstimate) -> None:
+    def _note_segmented(self, now_s: float, found: TrackedTexture | None, fused: RotationEstimate) -> None:
         if found is not None and found.fit is not None:
-            self._segmented = SegmentedTexture(found.fit, found.rotation, fused)
+            self._segmented = SegmentedTexture(now_s, found.fit, found.rotation, fused)
 
     def take_reference(
         self,

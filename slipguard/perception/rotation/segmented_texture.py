@@ -17,6 +17,9 @@ SIGMA_MAX_DEG = 4.0
 """A texture up to this sigma still shows how far the contact has rotated since the network ran."""
 MOVED_SHARE = 0.1
 """Share of that rotation in sigma."""
+SMOOTH_S = 0.02
+"""Along a smooth shaft only the ends show a shift, which the network finds: it runs on every second frame at 60 Hz, so
+that a slide is seen one frame later at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,19 +27,23 @@ class SegmentedTexture:
     """The texture in the last segmented contact, and what was measured there.
 
     fit, texture: its registration to the reference, and its rotation. fused: the rotation by texture, contour and axis.
+    captured_at_s: capture time of that frame.
     """
 
+    captured_at_s: float
     fit: TextureFit
     texture: RotationEstimate
     fused: RotationEstimate
 
-    def rotation_in(self, found: TrackedTexture) -> RotationEstimate | None:
+    def rotation_in(self, found: TrackedTexture, now_s: float) -> RotationEstimate | None:
         """Return the rotation since the reference in a later frame of which only the texture is known.
 
         A certain texture shows it by itself. An uncertain one shows the rotation since the network ran, because its
         error is nearly the same as then. None if it has not moved as a whole, or is too uncertain even for that.
         """
-        if found.fit is None or found.smooth is not None or not self._moved_as_a_whole(found.fit):
+        if found.fit is None or not self._moved_as_a_whole(found.fit):
+            return None
+        if found.smooth is not None and now_s - self.captured_at_s > SMOOTH_S:
             return None
         return found.rotation if is_certain(found.rotation) else self._carried_on(found.rotation)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -72,3 +73,13 @@ def test_a_texture_that_is_uncertain_carries_the_rotation_on() -> None:
         assert estimate.rotation_deg is not None
         assert estimate.sigma_deg is not None
         assert abs(estimate.rotation_deg - rotation_deg) < 3.0 * estimate.sigma_deg
+
+
+def test_a_smooth_shaft_runs_the_network_on_every_second_frame() -> None:
+    calls, found = measured("screwdriver", 24, lambda at_s: 40.0 * at_s)
+    assert calls <= 16
+    for before, now in pairwise([estimate for estimate, _ in found]):
+        assert before.segmented or now.segmented or now.skipped is not None, "a slide is seen one frame later at most"
+    for estimate, rotation_deg in found:
+        if estimate.rotation_deg is not None and estimate.sigma_deg is not None:
+            assert abs(estimate.rotation_deg - rotation_deg) < 3.0 * estimate.sigma_deg
