@@ -21,20 +21,22 @@ from pathlib import Path
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 
+from ros_client import RosClient
 from rosprocesses import NodeProcess, wait_until
 from slipguard_ros.local_api import DaemonUnreachable, LocalApi, RequestRefused
 
 WINDOW_S = 18.0
 """The daemon's latency statistics cover its newest 2000 frames: 16.7 s."""
 RISE_MAX, RISE_MAX_MS = 0.10, 1.0
+IMAGES = "/slipguard/left/image_raw"
 FLOOD = """
-import rclpy, sys
+import rclpy
 from std_msgs.msg import String
 while True:
     context = rclpy.Context()
     rclpy.init(context=context)
     nodes = [rclpy.create_node(f"flood_{index}", context=context) for index in range(20)]
-    entities = [node.create_publisher(String, f"/flood/{index}", 10) for index, node in enumerate(nodes)]
+    publishers = [node.create_publisher(String, f"/flood/topic_{index}", 10) for index, node in enumerate(nodes)]
     rclpy.shutdown(context=context)
 """
 
@@ -62,20 +64,26 @@ def p99_ms(api: LocalApi) -> float:
     return float(state["latency"]["p99_ms"])
 
 
-def disturb(socket_path: str, kills: int) -> float:
-    """Kill and restart the node during one window, while another process floods discovery; return the duration."""
-    began_s = time.monotonic()
+def disturb(socket_path: str, kills: int, ros: RosClient) -> int:
+    """Kill and restart the node during one window, while another process floods discovery.
+
+    Returns how often the node published images before it was killed. Raises AssertionError if the flood ended early.
+    """
+    active = 0
     flood = subprocess.Popen([sys.executable, "-c", FLOOD])
     node = NodeProcess(socket_path)
     try:
         for _ in range(kills):
+            ros.received.clear()
             node.start()
             time.sleep(WINDOW_S / kills)
             node.kill()
+            active += IMAGES in ros.received
+        assert flood.poll() is None, "discovery was not flooded: the process ended"
     finally:
         flood.kill()
         flood.wait()
-    return time.monotonic() - began_s
+    return active
 
 
 def main() -> int:
@@ -101,13 +109,14 @@ def main() -> int:
             api.submit("calibrate", {}, 40.0)
             api.submit("grasp", {})
             wait_until(lambda: api.state()["phase"] == "holding", "the object is held")
-            without_ms, with_ms = [], []
+            without_ms, with_ms, active, ros = [], [], 0, RosClient()
             for _ in range(-(-given.restarts // given.per_block)):
                 time.sleep(WINDOW_S)
                 without_ms.append(p99_ms(api))
-                disturb(api.socket_path, given.per_block)
+                active += disturb(api.socket_path, given.per_block, ros)
                 with_ms.append(p99_ms(api))
                 print(f"p99 without the node {without_ms[-1]:.2f} ms, with restarts {with_ms[-1]:.2f} ms", flush=True)
+            ros.close()
             state = api.state()
         finally:
             for process in (daemon, cell):
@@ -116,7 +125,8 @@ def main() -> int:
     without, disturbed = statistics.median(without_ms), statistics.median(with_ms)
     allowed_ms = max(RISE_MAX * without, RISE_MAX_MS)
     print(
-        f"{given.restarts} restarts: p99 {without:.2f} ms without, {disturbed:.2f} ms with them "
+        f"{given.restarts} restarts, {active} of them with images: "
+        f"p99 {without:.2f} ms without, {disturbed:.2f} ms with them "
         f"(limit {without + allowed_ms:.2f} ms); "
         f"phase {state['phase']}, fault {state['fault']}, deadlines missed {state['deadlines_missed']}"
     )
