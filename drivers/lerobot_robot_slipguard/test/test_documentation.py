@@ -53,7 +53,7 @@ def test_lerobot_record_accepts_the_documented_command(package: str) -> None:
     assert all(isinstance(camera, SlipguardCameraConfig) for camera in cameras.values())
     if package == PACKAGES[1]:
         assert isinstance(robot, SlipguardRobotConfig)
-        assert robot.arm_config().type == "so101_follower"
+        assert robot.arm_config().port == "/dev/ttyACM0"
 
 
 def test_a_wrong_option_is_detected() -> None:
@@ -75,4 +75,4 @@ def test_the_documented_program_runs(
     if package == PACKAGES[0]:
         assert all(names[image].shape == (320, 240, 3) for image in ("image", "newest"))
     else:
-        assert names["sent"].keys() == names["robot"].action_features.keys()
+        assert names["sent"].keys() == {*names["robot"].action_features, "grip.force_n"}
