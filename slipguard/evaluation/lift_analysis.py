@@ -16,10 +16,11 @@ from slipguard.evaluation.external_camera import VIDEOS, markers_in
 from slipguard.evaluation.lift_recording import LiftData, TimedImage
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
 from slipguard.evaluation.markers import MarkerDetector
-from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
+from slipguard.sim_lifts.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
+from slipguard.tools.image_files import VIDEO_ENDINGS
 from slipguard.tools.replay import recorded_settings
 
 Array = NDArray[np.float64]

@@ -23,12 +23,12 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused
-from slipguard.evaluation.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
 from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
-from slipguard.sim_lifts.lift_record import FINGERS, EstimatedRotation, LiftRecord
-from slipguard.tools.waiting import wait_until
+from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
+from slipguard.sim_lifts.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
+from slipguard.tools.waiting import running_service, wait_until
 
 TRUTH_STEP_S = 0.004
 HOLD_S = 1.2
