@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.mask_scores import read_bgr
 from slipguard.datasets.samples import UNIT_FRAMES, RenderedSample, render_sample
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.sim.contact_label import LABEL_NAME, label
-from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.tools.image_files import IMAGE_ENDINGS, read_bgr
 from slipguard.tools.parallel import Workers, each
 
 Image = NDArray[np.uint8]

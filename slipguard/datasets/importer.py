@@ -22,8 +22,8 @@ from slipguard.datasets.dataset_files import (
     check_new,
     png,
 )
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
-from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.tools.image_files import IMAGE_ENDINGS, damage, read_image
 from slipguard.tools.parallel import Workers, each
 

@@ -6,8 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.raster import Field, blurred
-from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Triple
+from slipguard.sim.sensor_unit import Triple
 
 _CORRELATION_PX = 0.79
 """Blur of white noise that gives the measured lag-1 correlation of 0.65, exp(-1 / (4 s^2)), rounding included."""

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.sim.background_image import background_image
 from slipguard.sim.camera_noise import CameraNoise
@@ -18,7 +19,7 @@ from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprint, Imprinter
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, LightChange, SensorUnit
+from slipguard.sim.sensor_unit import LightChange, SensorUnit
 
 Image = NDArray[np.uint8]
 

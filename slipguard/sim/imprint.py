@@ -14,13 +14,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.sim.gel_effects import TILT_FLOOR_MM, GelEffects
 from slipguard.sim.gel_optics import STEP_PX, Shading, displaced_gel, led_visibility
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import FLOOR_MM, HeightRaster, height_raster_of
 from slipguard.sim.raster import Field, blurred, enlarged, f32
-from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
+from slipguard.sim.sensor_unit import SensorUnit
 from slipguard.sim.shapes import rotated
 
 _PAD_CELLS = 8

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-FRAME_WIDTH_PX = 240
-FRAME_HEIGHT_PX = 320
 NOISE_STD_BGR = (2.9, 1.5, 2.4)
 """Temporal noise, gray levels, measured on two units."""
 STRIPE_STD_BGR = (0.7, 0.4, 0.8)

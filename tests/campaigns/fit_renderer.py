@@ -15,11 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprinter
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.sensor_unit import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, SensorUnit
+from slipguard.sim.sensor_unit import SensorUnit
 from slipguard.sim.shapes import sphere
 from tests.campaigns.ball_presses import RealPress, read_presses, write_sheet
 
