@@ -194,7 +194,7 @@ class Memory:
     def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
         self.kept[serial] = taken
 
-    def go_back(self, serial: str, number: int) -> BackgroundImage:
+    def restore_background(self, serial: str, number: int) -> None:
         raise InputError(f"{serial}: older images are not kept here")
 
     def background_versions(self, serial: str) -> list[BackgroundVersion]:

@@ -95,7 +95,7 @@ class BackgroundCapture:
         async with self._lock:
             self._check_idle()
             try:
-                await asyncio.to_thread(store.go_back, finger.serial, number)
+                await asyncio.to_thread(store.restore_background, finger.serial, number)
             except InputError as error:
                 raise CommandRefused(str(error)) from None
             finger.renew_pipeline()

@@ -107,15 +107,13 @@ class StateDir:
         """Store a new background image of a sensor; older ones stay. new_gel: the gel has been replaced."""
         self._save(serial, taken, datetime.now(UTC), new_gel, None)
 
-    def go_back(self, serial: str, number: int) -> BackgroundImage:
-        """Copy an older image of a sensor as its newest, and return it. Raises InputError if there is none."""
+    def restore_background(self, serial: str, number: int) -> None:
+        """Copy an older image of a sensor as its newest. Raises InputError if there is none."""
         versions = {version.number: version for version in self.background_versions(serial)}
         if number not in versions:
             known = ", ".join(str(one) for one in versions) or "none"
             raise InputError(f"{serial}: background image {number} not found; stored numbers: {known}")
-        taken = self._load(serial, number)
-        self._save(serial, taken, versions[number].created_at, False, number)
-        return taken
+        self._save(serial, self._load(serial, number), versions[number].created_at, False, number)
 
     def _save(
         self, serial: str, taken: BackgroundImage, created_at: datetime, new_gel: bool, copy_of: int | None

@@ -102,9 +102,8 @@ class MemoryState:
     def save_background(self, serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
         """Do nothing: the campaign does not calibrate."""
 
-    def go_back(self, serial: str, number: int) -> BackgroundImage:
-        """Return the background image."""
-        return self._image
+    def restore_background(self, serial: str, number: int) -> None:
+        """Do nothing: there is one image only."""
 
     def background_versions(self, serial: str) -> list[BackgroundVersion]:
         """Return no versions."""

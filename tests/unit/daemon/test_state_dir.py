@@ -174,8 +174,7 @@ def test_restoring_an_older_image_adds_a_copy_and_deletes_nothing(tmp_path: Path
     state = StateDir(tmp_path)
     for level in (50, 60):
         state.save_background("D20479", no_contact(level))
-    back = state.go_back("D20479", 1)
-    np.testing.assert_array_equal(back.image, no_contact(50).image)
+    state.restore_background("D20479", 1)
     newest = state.load_background("D20479")
     assert newest is not None
     np.testing.assert_array_equal(newest.image, no_contact(50).image)
@@ -186,7 +185,7 @@ def test_restoring_an_older_image_adds_a_copy_and_deletes_nothing(tmp_path: Path
     assert other is not None
     np.testing.assert_array_equal(other.image, no_contact(60).image)
     with pytest.raises(InputError, match=r"D20479: background image 9 not found; stored numbers: 1, 2, 3"):
-        state.go_back("D20479", 9)
+        state.restore_background("D20479", 9)
 
 
 def test_the_oldest_images_are_deleted_except_the_first_of_the_gel(tmp_path: Path) -> None:
