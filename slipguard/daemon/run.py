@@ -8,7 +8,7 @@ import gc
 import signal
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -182,9 +182,6 @@ async def run(
     signals: dict[signal.Signals, Callable[[], object]] = {signal.SIGINT: stop.set, signal.SIGTERM: stop.set}
     if read_config is not None:
         signals[signal.SIGHUP] = hangup.set
-    signals |= {number: partial(ignore_signal, number.name) for number in IGNORED}
-    for number, handler in signals.items():
-        loop.add_signal_handler(number, handler)
 
     async def until_stopped() -> None:
         await stop.wait()
@@ -192,27 +189,48 @@ async def run(
         shutdown.begin()
         raise _Stopped
 
+    with _signals_handled(signals), _permanent_objects_frozen():
+        try:
+            async with asyncio.TaskGroup() as group:
+                group.create_task(service.run(), name="service")
+                group.create_task(serve_api(handlers, service.event_log.warning), name="api")
+                group.create_task(until_stopped(), name="signals")
+                group.create_task(gels.run(), name="gels")
+                group.create_task(_record(service, recorder, handlers.watch_recorder, changed), name="recorder")
+                if read_config is not None:
+                    reloader = Reloader(service, read_config, changed.set)
+                    group.create_task(_reload_on(hangup, reloader), name="reload")
+                if extra_task is not None:
+                    group.create_task(extra_task(service), name="extra")
+        except* _Stopped:
+            log.info("slipguard stops; the grip stays as it is")
+        finally:
+            shutdown.end()
+
+
+@contextlib.contextmanager
+def _signals_handled(handlers: Mapping[signal.Signals, Callable[[], object]]) -> Iterator[None]:
+    """Call these handlers on their signals, and ignore `IGNORED`."""
+    loop = asyncio.get_running_loop()
+    handlers = {**handlers, **{number: partial(ignore_signal, number.name) for number in IGNORED}}
+    for number, handler in handlers.items():
+        loop.add_signal_handler(number, handler)
     try:
-        gc.collect()
-        gc.freeze()  # otherwise a full collection would stop the loop for 50 ms to inspect permanent objects
-        async with asyncio.TaskGroup() as group:
-            group.create_task(service.run(), name="service")
-            group.create_task(serve_api(handlers, service.event_log.warning), name="api")
-            group.create_task(until_stopped(), name="signals")
-            group.create_task(gels.run(), name="gels")
-            group.create_task(_record(service, handlers.track_recorder(recorder), changed), name="recorder")
-            if read_config is not None:
-                reloader = Reloader(service, read_config, changed.set)
-                group.create_task(_reload_on(hangup, reloader), name="reload")
-            if extra_task is not None:
-                group.create_task(extra_task(service), name="extra")
-    except* _Stopped:
-        log.info("slipguard stops; the grip stays as it is")
+        yield
     finally:
-        shutdown.end()
-        gc.unfreeze()
-        for number in signals:
+        for number in handlers:
             loop.remove_signal_handler(number)
+
+
+@contextlib.contextmanager
+def _permanent_objects_frozen() -> Iterator[None]:
+    """Exclude what exists now from garbage collections, which would stop the loop for 50 ms to inspect it."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 def _add_savers(service: Service, state_dir: StateDir, config_path: Path | None) -> None:
@@ -228,14 +246,23 @@ def _add_savers(service: Service, state_dir: StateDir, config_path: Path | None)
         service.observers.append(ConfigSaver(service, config_path, info, warning).add_decision)
 
 
-async def _record(service: Service, make: Callable[[Service, Path], Recorder], changed: asyncio.Event) -> None:
-    """Record as configured. A changed configuration starts a new file, because each file replays with its own."""
+async def _record(
+    service: Service,
+    make: Callable[[Service, Path], Recorder],
+    on_new: Callable[[Recorder], None],
+    changed: asyncio.Event,
+) -> None:
+    """Record as configured. A changed configuration starts a new file, because each file replays with its own.
+
+    on_new: Called with each new recorder.
+    """
     while True:
         changed.clear()
         async with asyncio.TaskGroup() as group:
             recording = None
             if service.config.recording.enabled:
                 recorder = make(service, recordings_path(service.config))
+                on_new(recorder)
                 recording = group.create_task(record(service, recorder), name="recording")
             await changed.wait()
             if recording is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -95,7 +94,7 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
     assert ("slipguard_rotation_degrees", ()) not in faulty, "an unknown value is no number"
 
 
-def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
+def test_a_recorder_whose_thread_has_ended_is_not_reported_as_recording() -> None:
     recordings: list[dict[str, Any]] = []
 
     async def scene(cell: Cell) -> None:
@@ -103,7 +102,7 @@ def test_a_recorder_whose_thread_is_gone_is_not_said_to_record() -> None:
         handlers = RequestHandlers(cell.service)
         for dead in (False, True):
             recorder = SimpleNamespace(stopped=None, dead=dead, left_out=3)
-            handlers.track_recorder(lambda service, folder, made=recorder: made)(cell.service, Path())  # type: ignore[misc,arg-type]
+            handlers.watch_recorder(recorder)  # type: ignore[misc,arg-type]
             recordings.append(json.loads(await handlers.state())["recording"])
 
     cell = Cell("wrench", 1)

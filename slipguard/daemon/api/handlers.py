@@ -8,7 +8,6 @@ import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.background_capture import BackgroundCapture
@@ -66,14 +65,9 @@ class RequestHandlers(DaemonApi):
         gels = {} if self._gels is None else self._gels.conditions
         return snapshot(self._service, gels) | {"recording": self._recording_state()}
 
-    def track_recorder(self, make: Callable[[Service, Path], Recorder]) -> Callable[[Service, Path], Recorder]:
-        """Return `make`, extended so that the state reports on the newest recorder."""
-
-        def make_and_track(service: Service, folder: Path) -> Recorder:
-            self._recorder = make(service, folder)
-            return self._recorder
-
-        return make_and_track
+    def watch_recorder(self, recorder: Recorder) -> None:
+        """Let the state report on this recorder from now on."""
+        self._recorder = recorder
 
     def _recording_state(self) -> dict[str, object]:
         recorder = self._recorder
