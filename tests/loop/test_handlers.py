@@ -46,7 +46,7 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
         assert (await handlers.frame("left", after=sequence - 1)).frame.sequence == sequence + 1, "does not wait"
         unsubscribe = handlers.subscribe(received.append)
         before = len(received)
-        assert before > 0, "what was said before"
+        assert before > 0, "the messages of before"
         cell.world.faults.fail("left", "stall")
         cell.world.faults.fail("right", "stall")
         await cell.until(lambda: cell.phase is Phase.FAULT)

@@ -1,17 +1,25 @@
-"""Takes, stores and restores the background images of both fingers while the daemon runs."""
+"""Takes, stores, lists and restores the background images of both fingers while the daemon runs."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest
 from slipguard.daemon.loop.finger import Finger
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.background_images import TIMEOUT_S, BackgroundImage, average_background, collect_images
+from slipguard.daemon.store.background_images import (
+    TIMEOUT_S,
+    BackgroundImage,
+    BackgroundVersion,
+    average_background,
+    collect_images,
+)
 from slipguard.errors import CommandRefused, InputError, SlipguardError
+from slipguard.thread_priority import set_worker_priority
 
 
 class BackgroundCapture:
@@ -20,6 +28,8 @@ class BackgroundCapture:
     def __init__(self, service: Service) -> None:
         self._service = service
         self._lock = asyncio.Lock()
+        # A thread of its own, so that reading stored images delays neither frames nor the gripper.
+        self._disk_thread = ThreadPoolExecutor(1, "slipguard-images", initializer=set_worker_priority)
 
     def check_not_running(self) -> None:
         """Raise CommandRefused while a calibration is running."""
@@ -84,6 +94,41 @@ class BackgroundCapture:
             if estimate.contact:
                 return f"{name} finger is in contact"
         return None
+
+    async def versions(self) -> dict[str, dict[str, object]]:
+        """Return by finger `serial` (None: not opened yet) and its stored `versions`, oldest first."""
+        found: dict[str, dict[str, object]] = {}
+        for name, finger in self._service.fingers.items():
+            versions = [] if finger.serial is None else await self._stored_versions(finger.serial)
+            found[name] = {"serial": finger.serial, "versions": [version.as_dict() for version in versions]}
+        return found
+
+    async def find(self, finger: Finger, number: int | None) -> tuple[str, int, BackgroundImage]:
+        """Return serial number, number and a stored background image. number: None for the newest.
+
+        Raises CommandRefused if there is no such image, or if it is damaged.
+        """
+        serial = finger.serial
+        if serial is None:
+            raise CommandRefused(f"the sensor of the {finger.name} finger was not opened yet: {finger.health.reason}")
+        stored = [version.number for version in await self._stored_versions(serial)]
+        chosen = max(stored, default=None) if number is None else number
+        found = None
+        if chosen is not None:
+            load = self._service.store.load_background
+            try:
+                found = await asyncio.get_running_loop().run_in_executor(self._disk_thread, load, serial, chosen)
+            except InputError as error:
+                raise CommandRefused(str(error)) from None
+        if chosen is None or found is None:
+            known = ", ".join(map(str, stored)) or "none"
+            asked = "" if chosen is None else f" {chosen}"
+            raise CommandRefused(f"{serial}: background image{asked} not found; stored numbers: {known}")
+        return serial, chosen, found
+
+    async def _stored_versions(self, serial: str) -> Sequence[BackgroundVersion]:
+        read = self._service.store.background_versions
+        return await asyncio.get_running_loop().run_in_executor(self._disk_thread, read, serial)
 
     async def restore(self, request: RestoreBackgroundRequest) -> str:
         """Use an older background image again; return a message."""

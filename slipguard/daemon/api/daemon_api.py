@@ -82,7 +82,7 @@ class DaemonApi(Protocol):
 
     @abstractmethod
     async def backgrounds(self) -> bytes:
-        """Return the stored background images as a JSON object; see `slipguard.daemon.store.background_history`."""
+        """Return the stored background images as a JSON object: by finger, `serial` and `versions`, oldest first."""
 
     @abstractmethod
     async def background(self, finger: str, number: int | None = None) -> FingerFrame:

@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 from slipguard.control.messages import ControlRequest, RequestKind
@@ -29,12 +28,11 @@ from slipguard.daemon.loop.finger import Finger, ProcessedFrame
 from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.loop_metrics import LoopMetrics
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.background_images import BackgroundImage, find_background, list_backgrounds
+from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.recording.recorder import Recorder
-from slipguard.thread_priority import set_worker_priority
 
 NOT_WITH_OLD_CONFIG = (GraspRequest, LiftRequest, ActivateRequest, MoveJawsRequest)
 """Refused while the configuration file is not valid and the last valid one is in use."""
@@ -51,8 +49,6 @@ class RequestHandlers(DaemonApi):
         self._capture = BackgroundCapture(service)
         self._recorder: Recorder | None = None
         self._metrics = LoopMetrics(service)
-        # A thread of its own, so that reading stored images delays neither frames nor the gripper.
-        self._disk_thread = ThreadPoolExecutor(1, "slipguard-images", initializer=set_worker_priority)
         self._processed: dict[str, ProcessedFrame] = {}
         for name, finger in service.fingers.items():
             finger.observers.append(partial(self._processed.__setitem__, name))
@@ -175,13 +171,11 @@ class RequestHandlers(DaemonApi):
         return await self._capture.calibrate(request)
 
     async def backgrounds(self) -> bytes:
-        service = self._service
-        return json.dumps(await list_backgrounds(service.fingers, service.store, self._disk_thread)).encode()
+        return json.dumps(await self._capture.versions()).encode()
 
     async def background(self, finger: str, number: int | None = None) -> FingerFrame:
-        store = self._service.store
-        serial, found, image = await find_background(self._finger(finger), store, self._disk_thread, number)
-        return FingerFrame(serial, Frame(image, 0.0, found))
+        serial, found, stored = await self._capture.find(self._finger(finger), number)
+        return FingerFrame(serial, Frame(stored.image, 0.0, found))
 
     def subscribe(self, on_event: Callable[[Event], None]) -> Callable[[], None]:
         event_log = self._service.event_log

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from typing import Protocol
@@ -12,9 +11,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.daemon.loop.finger import Finger
 from slipguard.devices import Frame
-from slipguard.errors import CommandRefused, InputError
+from slipguard.errors import CommandRefused
 
 FRAMES = 30
 """Half a second at 60 fps: averaging reduces the noise to a fifth, and a brief touch is noticed."""
@@ -120,47 +118,3 @@ async def collect_images(frames: asyncio.Queue[Frame], finger: str) -> list[NDAr
             f"{finger}: received {len(images)} of {FRAMES} frames within {TIMEOUT_S:g} s; check the sensor"
         ) from None
     return images
-
-
-async def list_backgrounds(
-    fingers: Mapping[str, Finger], store: BackgroundStore, pool: Executor
-) -> dict[str, dict[str, object]]:
-    """Return by finger `serial` (None: not opened yet) and `versions`, oldest first. Reads in a thread of `pool`."""
-    loop = asyncio.get_running_loop()
-    found: dict[str, dict[str, object]] = {}
-    for name, finger in fingers.items():
-        versions: Sequence[BackgroundVersion] = ()
-        if finger.serial is not None:
-            versions = await loop.run_in_executor(pool, store.background_versions, finger.serial)
-        found[name] = {"serial": finger.serial, "versions": [version.as_dict() for version in versions]}
-    return found
-
-
-async def find_background(
-    finger: Finger, store: BackgroundStore, pool: Executor, number: int | None
-) -> tuple[str, int, NDArray[np.uint8]]:
-    """Return serial number, number and image (320, 240, 3) uint8 BGR of a stored background image.
-
-    Args:
-        number: None for the newest.
-        pool: Reads in one of its threads.
-
-    Raises:
-        CommandRefused: There is no such image, or it is damaged.
-    """
-    if finger.serial is None:
-        raise CommandRefused(f"the sensor of the {finger.name} finger was not opened yet: {finger.health.reason}")
-    loop = asyncio.get_running_loop()
-    versions = await loop.run_in_executor(pool, store.background_versions, finger.serial)
-    chosen = number if number is not None else max((version.number for version in versions), default=None)
-    found = None
-    if chosen is not None:
-        try:
-            found = await loop.run_in_executor(pool, store.load_background, finger.serial, chosen)
-        except InputError as error:
-            raise CommandRefused(str(error)) from None
-    if chosen is None or found is None:
-        known = ", ".join(str(version.number) for version in versions) or "none"
-        asked = "" if chosen is None else f" {chosen}"
-        raise CommandRefused(f"{finger.serial}: background image{asked} not found; stored numbers: {known}")
-    return finger.serial, chosen, found.image
