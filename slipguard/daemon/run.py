@@ -25,9 +25,10 @@ from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.paths import socket_path
 from slipguard.daemon.lifecycle import Shutdown, ignore_signal
 from slipguard.daemon.loop.device_health import NOT_TRIED
-from slipguard.daemon.loop.finger import PerceptionPipeline, ThreadWorker, Worker
+from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.daemon.loop.gel_monitor import GelMonitor
-from slipguard.daemon.loop.service import FINGERS, Controller, Service
+from slipguard.daemon.loop.service import Controller, Service
+from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.daemon.reload import Reloader
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.last_config import ConfigSaver, last_config_path

@@ -17,7 +17,8 @@ from slipguard.daemon import log_setup as log
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, LiftRequest
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.evaluation.camera_calibration import Intrinsics

@@ -18,9 +18,8 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.finger import ThreadWorker, Worker
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.loop.worker import FixedLatencyWorker, ThreadWorker, Worker
 from slipguard.daemon.run import build_service
 from slipguard.errors import CommandRefused
 from slipguard.sim.catalogue import object_names

@@ -20,10 +20,10 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import DaemonRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.finger import ThreadWorker, Worker
-from slipguard.daemon.loop.service import FINGERS, Controller, Service
+from slipguard.daemon.loop.service import Controller, Service
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.devices import DriverContext
+from slipguard.daemon.loop.worker import ThreadWorker, Worker
+from slipguard.devices import FINGERS, DriverContext
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.scenario import scenario

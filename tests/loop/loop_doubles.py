@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import InputError
@@ -201,7 +201,7 @@ class Memory:
         return []
 
 
-class Shelf(FixedLatencyWorker):
+class ClosableWorker(FixedLatencyWorker):
     """A worker of stated latency that knows whether it was closed."""
 
     closed = False

@@ -12,8 +12,8 @@ from loop_cell import Cell, play
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, LiftRequest
-from slipguard.daemon.loop.finger import ThreadWorker
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
+from slipguard.daemon.loop.worker import ThreadWorker
 from slipguard.errors import CommandRefused
 
 PERIOD_S = 0.01

@@ -20,7 +20,8 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.evaluation import real_lifts

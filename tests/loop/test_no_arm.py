@@ -13,7 +13,8 @@ from slipguard.cli.state_view import state_table
 from slipguard.config import Config, parse_config
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.snapshot import snapshot
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, ConfigError

@@ -7,8 +7,8 @@ import asyncio
 import pytest
 
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue, Ticker
-from slipguard.daemon.loop.finger import ThreadWorker
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import FixedLatencyWorker, ThreadWorker
 
 
 def test_thirty_thousand_ticks_neither_drift_nor_miss() -> None:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.control.messages import Condition, FingerHealth
@@ -17,12 +14,12 @@ from slipguard.daemon.loop.capture import SensorCapture, StreamRestarts
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, failure_reason
 from slipguard.daemon.loop.observers import Observers
+from slipguard.daemon.loop.worker import Worker
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import FrameTorn, SlipguardError
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
-from slipguard.thread_priority import set_worker_priority
 
 STALE_S = 0.15
 """An estimate from an older frame is not used, nor one from a frame this far in the future.
@@ -32,8 +29,6 @@ At 30 fps one lost frame gives an age of 122 ms: two frames of 33 ms, 50 ms of l
 STUCK_AFTER_S = 0.05
 STUCK_WAITED_SHARE = 0.25
 """A frame that is late hangs, unless its thread waited for a processor for this share of the time since it was late."""
-A = TypeVar("A")
-T = TypeVar("T")
 
 
 class PerceptionPipeline(Protocol):
@@ -47,47 +42,6 @@ class PerceptionPipeline(Protocol):
 
     @property
     def last_patch(self) -> Patch | None: ...
-
-
-class Worker(Protocol):
-    """Runs one call at a time, in order."""
-
-    async def run(self, work: Callable[[A], T], argument: A) -> T:
-        """Return `work(argument)`."""
-        ...
-
-    def waited_s(self) -> float | None:
-        """Return for how long its thread has waited for a processor since its start; None if that is unknown."""
-        ...
-
-    def close(self) -> None:
-        """End the worker's thread, if it has one."""
-        ...
-
-
-class ThreadWorker:
-    """A worker with one thread, so that numpy and onnxruntime do not block the event loop."""
-
-    def __init__(self, name: str) -> None:
-        self._thread_id = 0
-        self._pool = ThreadPoolExecutor(1, f"slipguard-{name}", initializer=self._begin)
-
-    def _begin(self) -> None:
-        set_worker_priority()
-        self._thread_id = threading.get_native_id()
-
-    async def run(self, work: Callable[[A], T], argument: A) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._pool, work, argument)
-
-    def waited_s(self) -> float | None:
-        try:
-            schedstat = Path(f"/proc/self/task/{self._thread_id}/schedstat").read_bytes()
-        except OSError:
-            return None
-        return int(schedstat.split()[1]) / 1e9
-
-    def close(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
 
 
 @dataclass(frozen=True, slots=True)

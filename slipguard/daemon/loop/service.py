@@ -42,9 +42,10 @@ from slipguard.daemon.loop.capture import StreamRestarts
 from slipguard.daemon.loop.decision import Decision, LatencyStats
 from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
 from slipguard.daemon.loop.event_log import EventLog
-from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate, Worker
+from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate
 from slipguard.daemon.loop.observers import Observers
 from slipguard.daemon.loop.request_queue import RequestQueue
+from slipguard.daemon.loop.worker import Worker
 from slipguard.daemon.store.background_images import BackgroundStore
 from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
 from slipguard.errors import CommandRefused

@@ -11,7 +11,6 @@ import selectors
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
-A = TypeVar("A")
 T = TypeVar("T")
 
 
@@ -64,26 +63,3 @@ def run_virtual(main: Coroutine[Any, Any, T], start_s: float = 1000.0) -> T:
     """Run `main` to its end on a new virtual clock and return its result."""
     with asyncio.Runner(loop_factory=lambda: VirtualTimeLoop(start_s)) as runner:
         return runner.run(main)
-
-
-class FixedLatencyWorker:
-    """A worker (see `slipguard.daemon.loop.finger`) for the virtual clock, on which a computation takes no time.
-
-    Calls `work` at once and returns its result `latency_s` later on the loop's clock.
-    """
-
-    def __init__(self, latency_s: float) -> None:
-        self.latency_s = latency_s
-
-    async def run(self, work: Callable[[A], T], argument: A) -> T:
-        deadline_s = asyncio.get_running_loop().time() + self.latency_s
-        result = work(argument)
-        await asyncio.sleep(max(0.0, deadline_s - asyncio.get_running_loop().time()))
-        return result
-
-    def waited_s(self) -> float | None:
-        """Return None: there is no thread that could wait for a processor."""
-        return None
-
-    def close(self) -> None:
-        """Do nothing: there is no thread."""

@@ -15,8 +15,8 @@ from slipguard.config import GROUP_OF, Config, parse_config
 from slipguard.control.control_step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import DaemonRequest
-from slipguard.daemon.loop.service import FINGERS, Service
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.loop.service import Service
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp

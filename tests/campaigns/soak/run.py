@@ -24,7 +24,7 @@ from slipguard.daemon import run as root
 from slipguard.daemon.api import paths
 from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.store.recording import SEGMENT_S, make_recorder
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import SlipguardError

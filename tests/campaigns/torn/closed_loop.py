@@ -13,7 +13,8 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, LiftRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker, run_virtual
+from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.sim.scenario import CameraModel, scenario
 from slipguard.sim.world import World

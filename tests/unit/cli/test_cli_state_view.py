@@ -13,7 +13,7 @@ from rich.console import Console
 from slipguard.cli.state_view import state_table
 from slipguard.config import parse_config
 from slipguard.daemon.api.snapshot import snapshot
-from slipguard.daemon.loop.virtual_time import FixedLatencyWorker
+from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.sim.world import World
 

@@ -18,7 +18,8 @@ import numpy as np
 from plug import attach, modprobe, settle
 
 from slipguard.daemon.loop.capture import StreamRestarts
-from slipguard.daemon.loop.finger import Finger, ThreadWorker
+from slipguard.daemon.loop.finger import Finger
+from slipguard.daemon.loop.worker import ThreadWorker
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
 from slipguard.perception.estimate import Estimate
