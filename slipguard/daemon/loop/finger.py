@@ -193,6 +193,7 @@ class Finger:
             await self.capture.close()
 
     async def _perceive(self) -> None:
+        """Process the newest frame, again and again; a frame that fails is refused and costs nothing else."""
         loop, capture = asyncio.get_running_loop(), self.capture
         used: PerceptionPipeline | None = None
         backoff, failed = Backoff(self._retry_s), False
@@ -206,9 +207,7 @@ class Finger:
             try:
                 if new_reference:
                     pipeline.reset_reference()
-                estimate = self._kept_estimate(frame, pipeline)
-                if estimate is None:
-                    estimate = await self._process(pipeline, frame)
+                estimate = self._kept_estimate(frame, pipeline) or await self._process(pipeline, frame)
             except DRIVER_ERRORS as error:
                 raise_if_cancelled()
                 reason = failure_reason(pipeline, error, self.health)
@@ -226,17 +225,8 @@ class Finger:
             self.observers.notify(
                 ProcessedFrame(frame, loop.time(), new_reference, new_pipeline, estimate, patch=patch)
             )
-            if not capture.streaming:
-                continue
-            self.captured_at_s = frame.captured_at_s
-            self.health.set_ready(loop.time())
-            if pipeline is not self.pipeline or self._wants_reset:
-                continue
-            if estimate.skipped:
-                capture.counts.add_skipped(estimate.skipped)
-            self.newest = TimedEstimate(estimate, received_at_s, loop.time())
-            self.has_estimate.set()
-            self._on_change()
+            if capture.streaming:
+                self._use_estimate(estimate, pipeline, received_at_s, loop.time())
 
     async def _process(self, pipeline: PerceptionPipeline, frame: Frame) -> Estimate:
         self._processing_since_s = asyncio.get_running_loop().time()
@@ -244,6 +234,20 @@ class Finger:
             return await self._worker.run(pipeline.process, frame)
         finally:
             self._processing_since_s = self._late_since = None
+
+    def _use_estimate(
+        self, estimate: Estimate, pipeline: PerceptionPipeline, received_at_s: float, now_s: float
+    ) -> None:
+        """Make this the newest estimate, unless pipeline or reference were replaced while it was computed."""
+        self.captured_at_s = estimate.captured_at_s
+        self.health.set_ready(now_s)
+        if pipeline is not self.pipeline or self._wants_reset:
+            return
+        if estimate.skipped:
+            self.capture.counts.add_skipped(estimate.skipped)
+        self.newest = TimedEstimate(estimate, received_at_s, now_s)
+        self.has_estimate.set()
+        self._on_change()
 
     def _kept_estimate(self, frame: Frame, pipeline: PerceptionPipeline) -> Estimate | None:
         """Return the last estimate for this frame if the other finger makes processing it unnecessary."""
