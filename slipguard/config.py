@@ -32,6 +32,7 @@ from pydantic import (
 
 from slipguard.config_errors import describe_unknown_key, describe_validation_error, error_at_key, format_value
 from slipguard.control.params import GuardParams
+from slipguard.devices import FINGERS
 from slipguard.errors import ConfigError
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.registry import load_driver
@@ -184,7 +185,7 @@ class Config(Section):
     @property
     def warning(self) -> str | None:
         """A valid setting that is probably forgotten: what it causes, and what to do. None if there is none."""
-        sensors = [name for name in ("left", "right") if getattr(self, name).driver == "digit"]
+        sensors = [name for name in FINGERS if getattr(self, name).driver == "digit"]
         if not sensors or getattr(self.gripper.settings, "fingertip_mm", None) != 0.0:
             return None
         key, where = f"gripper.{self.gripper.driver}.fingertip_mm", ", ".join(sensors)
@@ -202,7 +203,7 @@ class Config(Section):
             ("guard.tuning.gripper_timeout_s", tuning.gripper_timeout_s, "loop.poll_ms", loop.poll_ms),
             ("guard.tuning.arm_timeout_s", tuning.arm_timeout_s, "loop.poll_ms", loop.poll_ms),
         ]
-        for name in ("left", "right"):
+        for name in FINGERS:
             section: FingerSection = getattr(self, name)
             fps, stall_ms = getattr(section.settings, "fps", None), getattr(section.settings, "stall_ms", None)
             if fps:
@@ -323,6 +324,10 @@ def file_content(config: Config) -> dict[str, Any]:
     return content
 
 
-def sim_config() -> Config:
-    """Return the configuration of `slipguard run --sim` without a file: simulated drivers and all defaults."""
-    return parse_config({}, where="--sim", sim=True)
+def sim_config(draw: str = "process", **tables: Mapping[str, Any]) -> Config:
+    """Return a configuration with simulated drivers, and with all defaults except in these tables.
+
+    draw: Where the sensors' images come from, as in `[left.fake]`.
+    """
+    fingers = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
+    return parse_config(fingers | tables, where="--sim", sim=True)

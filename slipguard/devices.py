@@ -23,6 +23,7 @@ from slipguard.errors import CommandRefused, ConfigError
 
 FRAME_WIDTH_PX = 240
 FRAME_HEIGHT_PX = 320
+FINGERS = ("left", "right")
 ACTIVATION_HINT = (
     "empty the jaws, protect the gels, then run `slipguard ctl activate`: the jaws open and close fully, at full speed"
 )

@@ -211,7 +211,7 @@ def _sensors(settings: Config | None, serial: str | None) -> list[Any]:
     from pydantic import ValidationError
 
     from slipguard.config_errors import describe_validation_error
-    from slipguard.devices import DriverContext
+    from slipguard.devices import FINGERS, DriverContext
     from slipguard.registry import load_driver
 
     group = "slipguard.tactile"
@@ -224,7 +224,7 @@ def _sensors(settings: Config | None, serial: str | None) -> list[Any]:
             raise InputError(f"--{describe_validation_error(error, driver.Settings)}") from None
         sensors.append(driver(digit_settings, DriverContext("sensor")))
     else:
-        for name in ("left", "right"):
+        for name in FINGERS:
             section = getattr(settings, name)
             sensors.append(load_driver(group, section.driver)(section.settings, DriverContext(name)))
     return sensors

@@ -36,7 +36,7 @@ from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_st
 from slipguard.daemon.store.last_reference import REFERENCES, ReferenceSaver, ReferenceStore, restore_reference
 from slipguard.daemon.store.recording import make_recorder, record
 from slipguard.daemon.store.state_dir import StateDir
-from slipguard.devices import DriverContext
+from slipguard.devices import FINGERS, DriverContext
 from slipguard.errors import DeviceTimeout, InputError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline

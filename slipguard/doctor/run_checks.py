@@ -12,7 +12,7 @@ from typing import Any
 from slipguard.config import GROUP_OF, Config
 from slipguard.daemon.api.client import Client, DaemonNotRunning
 from slipguard.daemon.store.state_dir import StateDir
-from slipguard.devices import DriverContext
+from slipguard.devices import FINGERS, DriverContext
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, note, ok, problem, problem_from_error
 from slipguard.doctor import gripper, machine, sensor, through_daemon
 from slipguard.doctor.through_daemon import OBSERVE_S, DaemonSamples
@@ -21,7 +21,6 @@ from slipguard.registry import load_driver
 
 DEVICE_S = 30.0
 """Time limit for the checks of one device."""
-FINGERS = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

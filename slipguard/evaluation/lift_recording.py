@@ -18,7 +18,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from slipguard.config_errors import describe_validation_error
 from slipguard.daemon.loop.service import Service
-from slipguard.daemon.store.recording import RecordingObserver, header
+from slipguard.daemon.store.recording import RecordingObserver, header, observed
+from slipguard.devices import FINGERS
 from slipguard.errors import InputError, SlipguardError
 from slipguard.evaluation.camera_calibration import Intrinsics
 from slipguard.evaluation.protocol import LiftProtocol, PlannedLift
@@ -28,7 +29,7 @@ from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedM
 from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader
 
 CAMERA_QUALITY = 88
-FINGERS = RecorderSettings("jpeg", 95)
+FINGER_SETTINGS = RecorderSettings("jpeg", 95)
 PART = ".part"
 LIFT_ATTACHMENT = "lift.json"
 INTRINSICS_ATTACHMENT = "intrinsics.json"
@@ -130,7 +131,7 @@ class LiftRecorder:
         if isinstance(value, RecordedCycle):
             self._write(lambda file: file.cycle(value.record), first=value)
         elif isinstance(value, RecordedFrame):
-            self._write(lambda file: write_frame(file, value, FINGERS))
+            self._write(lambda file: write_frame(file, value, FINGER_SETTINGS))
 
     def camera(self, at_s: float, jpeg: bytes) -> None:
         """Write an image of the external camera; at_s: its time stamp on the loop's clock."""
@@ -195,9 +196,9 @@ class LiftData:
     intrinsics: Intrinsics
     recording: Recording
     camera: list[TimedImage] = field(default_factory=list)
-    fingers: dict[str, list[LiftFrame]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
-    masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
-    true_masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in m.FINGERS})
+    fingers: dict[str, list[LiftFrame]] = field(default_factory=lambda: {name: [] for name in FINGERS})
+    masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in FINGERS})
+    true_masks: dict[str, list[TimedImage]] = field(default_factory=lambda: {name: [] for name in FINGERS})
     fused: list[tuple[float, float, float]] = field(default_factory=list)
     declined: int = 0
     held: int = 0

@@ -20,6 +20,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
+from slipguard.devices import FINGERS
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.evaluation.camera_calibration import Intrinsics
 from slipguard.evaluation.lift_recording import LiftRecorder, encode_jpeg
@@ -109,9 +110,7 @@ async def _record(task: SimulatedLift) -> None:
     world = World(seed=protocol.seed + lift.number)
     height_mm = 2.0 * item.com_offset_mm * math.sin(math.radians(lift.target_deg)) + SUPPORT_MM
     with tempfile.TemporaryDirectory(prefix="slipguard-evaluate-") as folder:
-        raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in m.FINGERS}
-        raw["state"] = {"directory": folder}
-        raw["guard"] = {"lift_speed_mm_s": protocol.lift_speed_mm_s, "tuning": {"lower_speed_mm_s": 150.0}}
+        guard = {"lift_speed_mm_s": protocol.lift_speed_mm_s, "tuning": {"lower_speed_mm_s": 150.0}}
         service = build_service(
             parse_config(raw, where="the simulated experiment", sim=True),
             world=world,
@@ -189,7 +188,7 @@ async def _record_camera(
 async def _record_masks(file: LiftRecorder, world: World) -> None:
     """Record the true contact masks several times per second."""
     loop = asyncio.get_running_loop()
-    cameras = {name: GelCamera(random_unit(np.random.default_rng(world.camera(name).unit_seed))) for name in m.FINGERS}
+    cameras = {name: GelCamera(random_unit(np.random.default_rng(world.camera(name).unit_seed))) for name in FINGERS}
     while True:
         await asyncio.sleep(MASK_EVERY_S)
         for name, gel in cameras.items():

@@ -17,19 +17,19 @@ from pydantic_core import to_json
 from slipguard.config_errors import describe_validation_error
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import Observation, StepOutput
+from slipguard.devices import FINGERS
 from slipguard.errors import InputError
 from slipguard.perception.estimate import Estimate
 
 FORMAT = "3"
-FINGERS = ("left", "right")
 CAMERA = "camera"
 """Source name of the external camera in the recordings of an experiment."""
 IMAGE_TOPIC = {source: f"/{source}/image" for source in (*FINGERS, CAMERA)}
 MASK_TOPIC = {finger: f"/{finger}/mask" for finger in FINGERS}
 TRUE_MASK_TOPIC = {finger: f"/{finger}/true_mask" for finger in FINGERS}
 TRUTH_TOPIC = "/truth"
-JUDGED_TOPIC = {finger: f"/{finger}/judged" for finger in FINGERS}
-TICK_TOPIC = "/tick"
+FRAME_TOPIC = {finger: f"/{finger}/judged" for finger in FINGERS}
+CYCLE_TOPIC = "/tick"
 MEMORY_TOPIC = "/memory"
 LOG_TOPIC = "/log"
 HEADER = "slipguard"

@@ -21,6 +21,7 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.loop.worker import FixedLatencyWorker, ThreadWorker, Worker
 from slipguard.daemon.run import build_service
+from slipguard.devices import FINGERS
 from slipguard.errors import CommandRefused
 from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
@@ -78,15 +79,15 @@ class LiftProgress:
 
 def campaign_config(settings: CampaignSettings, state_directory: Path) -> Config:
     """Return the default configuration with simulated devices; on the real clock images are rendered in processes."""
-    draw = "process" if settings.realtime else "inline"
-    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": draw}} for name in FINGERS}
-    raw["guard"] = {
-        "lift_height_mm": LIFT_HEIGHT_MM,
-        "lift_speed_mm_s": LIFT_SPEED_MM_S,
-        "tuning": {"lower_speed_mm_s": LOWER_SPEED_MM_S},
-    }
-    raw["state"] = {"directory": str(state_directory)}
-    return parse_config(raw, where="--sim", sim=True)
+    return sim_config(
+        "process" if settings.realtime else "inline",
+        guard={
+            "lift_height_mm": LIFT_HEIGHT_MM,
+            "lift_speed_mm_s": LIFT_SPEED_MM_S,
+            "tuning": {"lower_speed_mm_s": LOWER_SPEED_MM_S},
+        },
+        state={"directory": str(state_directory)},
+    )
 
 
 async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress], None]) -> list[LiftRecord]:
@@ -255,7 +256,7 @@ def unguarded_step(
             sigma_deg=1.0,
             rate_deg_s=0.0,
             shift_mm=0.0,
-            fingers=("left", "right"),
+            fingers=FINGERS,
             conflict=None,
             declined=None,
         )

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FINGERS
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.world import WorldTruth
 
-FINGERS = ("left", "right")
 IMAGE_SIGN = {"left": 1.0, "right": -1.0}
 """A rotation that is counter-clockwise in the left image is clockwise in the right image."""
 

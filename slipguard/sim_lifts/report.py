@@ -11,7 +11,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from slipguard.sim_lifts.lift_record import FINGERS, IMAGE_SIGN, LiftRecord, mean_abs, rotation_errors, summary
+from slipguard.devices import FINGERS
+from slipguard.sim_lifts.lift_record import IMAGE_SIGN, LiftRecord, latency_figures, rotation_errors, summary
 from slipguard.tools import plotting as figures
 
 ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")

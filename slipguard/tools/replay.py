@@ -22,7 +22,7 @@ from slipguard.control.control_step import ControlState, control_step
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.messages import StepOutput
 from slipguard.control.params import GuardParams
-from slipguard.devices import Frame
+from slipguard.devices import FINGERS, Frame
 from slipguard.errors import FrameCorrupt, InputError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
@@ -128,11 +128,11 @@ class _RecordingPlayer:
         self._params: GuardParams = settings.guard
         self._segmenter, self._settings = segmenter, settings
         self._pipelines: dict[str, Pipeline] = {}
-        self._live = dict.fromkeys(m.FINGERS, False)
-        self._renewed = dict.fromkeys(m.FINGERS, False)
+        self._live = dict.fromkeys(FINGERS, False)
+        self._renewed = dict.fromkeys(FINGERS, False)
         self._images: dict[str, StoredImage] = {}
-        self._now: dict[str, dict[int, Estimate]] = {finger: {} for finger in m.FINGERS}
-        self._memory: dict[str, ControlState] = {}
+        self._estimates: dict[str, dict[int, Estimate]] = {finger: {} for finger in FINGERS}
+        self._states: dict[str, ControlState] = {}
 
     def play(self) -> None:
         for item in self._recording.items():
@@ -144,9 +144,7 @@ class _RecordingPlayer:
             elif isinstance(value, m.CycleRecord):
                 self._tick(value)
             elif (
-                isinstance(value, StoredImage)
-                and item.topic == m.IMAGE_TOPIC[value.source]
-                and value.source in m.FINGERS
+                isinstance(value, StoredImage) and item.topic == m.IMAGE_TOPIC[value.source] and value.source in FINGERS
             ):
                 self._images[value.source] = value
                 self._done.image = value.format
@@ -212,8 +210,8 @@ class _RecordingPlayer:
             )
         self._memory["recorded"] = self._compare(done.on_recorded, self._memory["recorded"], cycle)
         fresh = {
-            finger: self._now[finger].get(sequence) if sequence is not None else None
-            for finger, sequence in zip(m.FINGERS, (cycle.left_sequence, cycle.right_sequence), strict=True)
+            finger: self._estimates[finger].get(sequence) if sequence is not None else None
+            for finger, sequence in zip(FINGERS, (cycle.left_sequence, cycle.right_sequence), strict=True)
         }
         if not any(self._live.values()):
             self._memory["frames"] = self._memory["recorded"]
@@ -277,8 +275,8 @@ def recorded_settings(recording: Recording) -> RecordedSettings:
         return RecordedSettings(
             GuardParams.model_validate(config["guard"]),
             PerceptionSettings.model_validate(perception),
-            {finger: float(config[finger]["px_per_mm"]) for finger in m.FINGERS},
-            {finger: int(config[finger]["mounting_deg"]) for finger in m.FINGERS},
+            {finger: float(config[finger]["px_per_mm"]) for finger in FINGERS},
+            {finger: int(config[finger]["mounting_deg"]) for finger in FINGERS},
             recording,
         )
     except ValidationError as error:

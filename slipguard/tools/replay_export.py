@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FINGERS
 from slipguard.errors import InputError
 from slipguard.perception.estimate import Estimate
 from slipguard.recording import messages as m
@@ -126,7 +127,7 @@ def _write_images(items: Iterable[RecordedItem], folder: Path) -> list[Path]:
 def _write_videos(opened: list[Recording], folder: Path) -> list[Path]:
     """Write one video per finger with contour, rotation and force, at 30 images per second of wall-clock time."""
     written = []
-    for finger in m.FINGERS:
+    for finger in FINGERS:
         path = folder / f"{finger}.mp4"
         video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), VIDEO_FPS, FRAME_SIZE)
         if not video.isOpened():

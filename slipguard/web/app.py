@@ -15,11 +15,12 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.exceptions import HTTPException
 
 from slipguard import __version__
+from slipguard.devices import FINGERS
 from slipguard.web import models
 from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION_HEADER
 from slipguard.web.commands import add_commands
 from slipguard.web.errors import error_response, error_responses, handle_http_exception, with_error_response
-from slipguard.web.images import FINGERS, EncodedImage
+from slipguard.web.images import EncodedImage
 from slipguard.web.metrics import prometheus_text
 from slipguard.web.page_routes import add_page
 from slipguard.web.route_context import RouteContext

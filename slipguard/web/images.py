@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.devices import FINGERS, FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch, resize_mask_to_frame
 from slipguard.perception.rotation.skeleton import middle_line
 from slipguard.web.ttl_cache import TtlCache
 
-FINGERS = ("left", "right")
 FRAME_TTL_S = 1 / 60
 OVERLAY_TTL_S = 0.1
 """A newer image is requested after this time at the earliest."""

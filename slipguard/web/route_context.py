@@ -5,9 +5,10 @@ from __future__ import annotations
 from functools import partial
 
 from slipguard.daemon.api.daemon_api import DaemonApi
+from slipguard.devices import FINGERS
 from slipguard.web.access import Access
 from slipguard.web.frame_broadcast import FrameBroadcast
-from slipguard.web.images import FINGERS, FingerImages
+from slipguard.web.images import FingerImages
 from slipguard.web.live import PERIOD_S, LiveStream
 from slipguard.web.ttl_cache import TtlCache
 

@@ -47,11 +47,10 @@ from slipguard.daemon.loop.observers import Observers
 from slipguard.daemon.loop.request_queue import RequestQueue
 from slipguard.daemon.loop.worker import Worker
 from slipguard.daemon.store.background_images import BackgroundStore
-from slipguard.devices import Arm, ArmState, Gripper, GripperState, TactileSensor
+from slipguard.devices import FINGERS, Arm, ArmState, Gripper, GripperState, TactileSensor
 from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
 
-FINGERS = ("left", "right")
 BUSY_WINDOW_S = 1.0
 
 Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, StepOutput]]

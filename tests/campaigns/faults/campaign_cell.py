@@ -20,7 +20,7 @@ from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Arm, DriverContext, Gripper, TactileSensor
+from slipguard.devices import FINGERS, FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Arm, DriverContext, Gripper, TactileSensor
 from slipguard.registry import load_driver
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth

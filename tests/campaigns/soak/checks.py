@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from slipguard.daemon.loop.service import FINGERS
 from slipguard.daemon.store.state_dir import KEPT
+from slipguard.devices import FINGERS
 from tests.campaigns.soak.resources import ResourceSample
 
 WARM_UP_SHARE, END_SHARE = 0.15, 0.2

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slipguard.config import Config, parse_config
-from slipguard.daemon.loop.service import FINGERS
+from slipguard.devices import FINGERS
 
 VIRTUAL_LOOP = {"period_ms": 50.0, "poll_ms": 200.0}
 """Longer periods than usual: the allocations per cycle, frame and request are the same."""

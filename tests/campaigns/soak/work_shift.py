@@ -23,7 +23,8 @@ from slipguard.daemon.api.requests import (
     ReleaseRequest,
 )
 from slipguard.daemon.loop.decision import Decision
-from slipguard.daemon.loop.service import FINGERS, Service
+from slipguard.daemon.loop.service import Service
+from slipguard.devices import FINGERS
 from slipguard.errors import CommandRefused
 from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
