@@ -126,7 +126,7 @@ def build_service(
         make_pipeline={name: pipeline_maker(name) for name in FINGERS},
         store=state_dir,
         controller=controller,
-        memory=restore_control_state(state_dir, warning=warnings.append),
+        control_state=restore_control_state(state_dir, warning=warnings.append),
     )
     for line in warnings:
         service.event_log.warning(line)

@@ -146,8 +146,8 @@ def test_nothing_is_compared_while_an_object_may_be_held() -> None:
 
         from slipguard.control.state import Phase
 
-        guard = bench.service._memory
-        bench.service._memory = replace(guard, grasp=replace(guard.grasp, phase=Phase.HOLDING))
+        guard = bench.service._control_state
+        bench.service._control_state = replace(guard, grasp=replace(guard.grasp, phase=Phase.HOLDING))
         await bench.show(cut(gel()), 300.0)
         assert "left" not in bench.watch.conditions
 

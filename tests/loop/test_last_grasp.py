@@ -45,7 +45,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         tightened = shelf.load_last_grasp()
         assert tightened is not None
         assert tightened.force_n == cell.service.state.grip.target_n > first.force_n
-        assert restore_control_state(shelf).grasp.adoption.remembered == RememberedGrip(
+        assert restore_control_state(store).grasp.adoption.remembered == RememberedGrip(
             tightened.force_n, tightened.width_mm, applied=True, lift_start_mm=(0.0, 0.0, 0.0)
         )
         await cell.lower()
@@ -162,7 +162,7 @@ def test_a_force_counts_as_applied_once_the_gripper_confirms_it(tmp_path: Path) 
 async def noted(shelf: StateDir) -> RememberedGrip:
     """What a daemon started now would know of the grip."""
     await asyncio.sleep(0.05)
-    grip = restore_control_state(shelf).grasp.adoption.remembered
+    grip = restore_control_state(store).grasp.adoption.remembered
     assert grip is not None
     return grip
 
@@ -178,23 +178,23 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         cell.world.faults.fail("gripper", "disconnect")
         await cell.until(lambda: cell.phase is Phase.FAULT)
         await asyncio.sleep(0.1)
-        grasp = restore_control_state(shelf).grasp
+        grasp = restore_control_state(store).grasp
         assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
         assert grasp.adoption.remembered == grip, "as of the gripper's last response"
-        old = restore_control_state(shelf, datetime.now(UTC) + timedelta(days=3)).grasp
+        old = restore_control_state(store, datetime.now(UTC) + timedelta(days=3)).grasp
         assert (old.phase, old.fault, old.adoption.remembered) == (Phase.FAULT, grasp.fault, None)
         cell.world.faults.repair("gripper")
         await cell.ready()
         await cell.submit(ClearRequest())
         await cell.until(cell.steady)
-        assert await noted(shelf) == grip
-        assert restore_control_state(shelf).grasp.fault is None
+        assert await saved_grip(store) == grip
+        assert restore_control_state(store).grasp.fault is None
         cell.world.clear(cell.now_s)
         await cell.until(lambda: cell.phase is Phase.FAULT)
-        await cell.until(lambda: restore_control_state(shelf).grasp.fault is not None)
+        await cell.until(lambda: restore_control_state(store).grasp.fault is not None)
         await cell.submit(ReleaseRequest(confirm=True))
         await asyncio.sleep(0.1)
-        assert restore_control_state(shelf).grasp.fault is None
+        assert restore_control_state(store).grasp.fault is None
         await cell.until(lambda: cell.phase is Phase.IDLE)
         await asyncio.sleep(0.1)
         assert shelf.load_last_grasp() is None
@@ -218,7 +218,7 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert restore_control_state(shelf).grasp == GraspState(
+    assert restore_control_state(store).grasp == GraspState(
         Phase.FAULT, adoption=Adoption(remembered=grip), person=PersonNear(True), fault=fault
     )
 
@@ -234,7 +234,7 @@ def test_a_requested_release_is_stored_with_its_fault(tmp_path: Path) -> None:
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
-    assert restore_control_state(shelf).grasp == GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
+    assert restore_control_state(store).grasp == GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
 
 
 @pytest.mark.parametrize(
@@ -263,8 +263,8 @@ def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path
         (tmp_path / "last_grasp.json").write_bytes(b"\0" * 200)
         force_n = before.truth.force_n
         after = Cell("wrench", 1, world=before.world)
-        after.service._memory = restore_control_state(shelf)
-        after.service.observers.append(LastGraspSaver(shelf, after.says.append, after.says.append).add_decision)
+        after.service._control_state = restore_control_state(store)
+        save_grip(after, store)
         async with running(after):
             await after.until(after.steady)
             assert after.truth.force_n >= force_n - 0.01
@@ -309,12 +309,12 @@ def test_the_daemon_reports_a_damaged_file(tmp_path: Path) -> None:
     assert service.state == MAY_HOLD.grasp
 
 
-def test_an_old_note_only_says_that_something_may_be_held(tmp_path: Path) -> None:
-    shelf, now = StateDir(tmp_path), datetime.now(UTC)
-    shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
-    assert restore_control_state(shelf, now) == MAY_HOLD
-    shelf.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
-    assert restore_control_state(shelf, now) == ControlState(
+def test_an_old_file_only_says_that_something_may_be_held(tmp_path: Path) -> None:
+    store, now = StateDir(tmp_path), datetime.now(UTC)
+    store.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
+    assert restore_control_state(store, now) == MAY_HOLD
+    store.save_last_grasp(LastGrasp(saved_at=now - timedelta(minutes=2), force_n=90.0, width_mm=18.0))
+    assert restore_control_state(store, now) == ControlState(
         GraspState(adoption=Adoption(remembered=RememberedGrip(90.0, 18.0)))
     )
 
@@ -329,12 +329,12 @@ def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
         await cell.grasp()
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)
-        assert restore_control_state(shelf).grasp.person.now
+        assert restore_control_state(store).grasp.person.now
         cell.world.faults.repair("arm")
         await asyncio.sleep(0.3)
-        assert restore_control_state(shelf).grasp.person.forbids_force
+        assert restore_control_state(store).grasp.person.forbids_force
         await cell.submit(ClearRequest())
-        await cell.until(lambda: not restore_control_state(shelf).grasp.person.forbids_force)
+        await cell.until(lambda: not restore_control_state(store).grasp.person.forbids_force)
 
     play(Cell("wrench", 1), scene)
 
@@ -345,7 +345,7 @@ def test_a_note_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: time
     shelf, now = StateDir(tmp_path), datetime.now(UTC)
     shelf.save_last_grasp(LastGrasp(saved_at=now + ahead, force_n=90.0, width_mm=18.0))
     lines: list[str] = []
-    assert restore_control_state(shelf, now, lines.append) == MAY_HOLD
+    assert restore_control_state(store, now, lines.append) == MAY_HOLD
     assert "in the future; check the computer's clock" in lines[0]
 
 

@@ -26,7 +26,7 @@ def test_minutes_of_holding_neither_tighten_nor_grow(minutes: int) -> None:
         await cell.lift()
         await cell.until(cell.steady)
         await asyncio.sleep(5.0 + 0.1 * ROUND_TRIPS)  # until the newest round trips are all there
-        count, size, said = len(cell.gripper.commands), weight(cell), len(cell.service.event_log.lines)
+        count, size, lines = len(cell.gripper.commands), weight(cell), len(cell.service.event_log.lines)
         ended_s = cell.now_s + 60.0 * minutes
         while cell.now_s < ended_s:
             await asyncio.sleep(30.0)
@@ -45,7 +45,7 @@ def weight(cell: Cell) -> int:
     """Bytes of what the service holds on to, roughly: every object reached from it, except arrays and modules."""
     seen: set[int] = set()
     todo: list[object] = [
-        cell.service._memory,
+        cell.service._control_state,
         cell.service.event_log.lines,
         cell.service.observation,
         *vars(cell.service).values(),

@@ -109,8 +109,8 @@ def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripper_was
         path.write_text(path.read_text()[:60])
 
     async def scene(cell: Cell) -> None:
-        cell.service._memory = restore_control_state(store)
-        cell.service.observers.append(LastGraspSaver(store, cell.says.append, cell.says.append).add_decision)
+        cell.service._control_state = restore_control_state(store)
+        cell.service.observers.append(LastGraspSaver(store, cell.messages.append, cell.messages.append).add_decision)
         await cell.ready()
         await asyncio.sleep(0.2)
         with pytest.raises(CommandRefused, match="something was held before the last start, or may have been"):

@@ -72,12 +72,12 @@ def test_no_stream_restarts_while_the_other_finger_has_no_frames_or_the_object_s
         counts = cell.service.fingers["left"].capture.counts
         assert (counts.torn > TORN_MAX, counts.restarts) == (True, 0)
         assert cell.phase is Phase.HOLDING, "the left finger guards"
-        memory, slip = cell.service._memory, SlipEpisode(cell.now_s, cell.now_s, 0.0, 0.0, 0.0)
+        memory, slip = cell.service._control_state, SlipEpisode(cell.now_s, cell.now_s, 0.0, 0.0, 0.0)
         cell.world.faults.repair("right")
         await cell.until(lambda: cell.service._may_restart("left"))
-        cell.service._memory = replace(memory, grasp=replace(memory.grasp, held=HeldObject(slip=slip)))
+        cell.service._control_state = replace(memory, grasp=replace(memory.grasp, held=HeldObject(slip=slip)))
         assert not cell.service._may_restart("left")
-        cell.service._memory = memory
+        cell.service._control_state = memory
         await cell.until(lambda: counts.restarts == 1)
 
     play(Cell("wrench", 1), scene)

@@ -21,16 +21,16 @@ RATE_WINDOW_S = 2.0
 class Decision:
     """One cycle of the loop.
 
-    memory: the controller's state before the cycle. estimates: by finger, the fresh estimate, or None. new_estimates:
-    those that this cycle was the first to use. latencies_s: of each of them, from receiving the frame until no command
-    was found necessary; empty if there was one (see `Service.hold_observers`).
+    state_before: the controller's state before the cycle. estimates: by finger, the fresh estimate, or None.
+    new_estimates: those that this cycle was the first to use. latencies_s: of each of them, from receiving the frame
+    until no command was found necessary; empty if there was one (see `Service.hold_observers`).
     """
 
     now_s: float
     phase: Phase
     observation: Observation
     output: StepOutput
-    memory: ControlState
+    state_before: ControlState
     estimates: Mapping[str, Estimate | None] = field(default_factory=dict)
     new_estimates: Mapping[str, Estimate] = field(default_factory=dict)
     latencies_s: tuple[float, ...] = ()

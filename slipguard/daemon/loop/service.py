@@ -65,7 +65,7 @@ class Service:
         make_pipeline: By finger, makes the pipeline for a serial number.
         store: Where background images are stored.
         controller: The pure control step.
-        memory: The controller's state from before a restart.
+        control_state: The controller's state from before a restart.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Service:
         make_pipeline: Mapping[str, Callable[[str], PerceptionPipeline]],
         store: BackgroundStore,
         controller: Controller = control_step,
-        memory: ControlState | None = None,
+        control_state: ControlState | None = None,
     ) -> None:
         self.config = config
         self.config_problem: str | None = None
@@ -94,7 +94,7 @@ class Service:
         self.deadlines_missed = 0
         self._late: deque[tuple[float, float]] = deque()
         """Loop time of each late cycle of the last `BUSY_WINDOW_S`, and by how much it was late."""
-        self._memory = memory or ControlState()
+        self._control_state = control_state or ControlState()
         self.observation: Observation | None = None
         self._controller = controller
         self._gripper_device = gripper
@@ -126,17 +126,17 @@ class Service:
     @property
     def state(self) -> GraspState:
         """State of the grasp, as the controller remembers it."""
-        return self._memory.grasp
+        return self._control_state.grasp
 
     @property
     def phase(self) -> Phase:
         """Phase of the grasp."""
-        return self._memory.grasp.phase
+        return self._control_state.grasp.phase
 
     @property
     def ready_to_lift(self) -> bool:
         """Whether an object is held without slip, and the gripper has carried out the last command."""
-        state, gripper = self._memory.grasp, self.gripper.newest
+        state, gripper = self._control_state.grasp, self.gripper.newest
         return (
             state.phase is Phase.HOLDING
             and state.held.slip is None
@@ -236,8 +236,8 @@ class Service:
         pending = self._requests.next(now_s)
         fresh, observation = self._gather(now_s, ControlRequest() if pending is None else pending.request)
         new = self._take_new_estimates()
-        before = self._memory
-        self._memory, output = self._controller(before, observation, self.config.guard)
+        before = self._control_state
+        self._control_state, output = self._controller(before, observation, self.config.guard)
         self.observation = observation
         self._issue(output, max((one.received_at_s for one in new.values()), default=now_s))
         if pending is not None and output.refusal is not None:

@@ -129,7 +129,7 @@ class LastGraspSaver:
         """Save what has changed; to be called after every cycle of the loop."""
         if self._disk.busy:
             return  # a later cycle will do
-        grasp, gripper, fault = decision.memory.grasp, decision.observation.gripper, decision.output.fault
+        grasp, gripper, fault = decision.state_before.grasp, decision.observation.gripper, decision.output.fault
         held = decision.phase in AT_STAKE or decision.phase is Phase.FAULT
         new = _SavedGrasp(person_near=grasp.person.forbids_force)
         if fault is not None:

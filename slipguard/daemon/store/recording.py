@@ -131,7 +131,7 @@ class RecordingObserver:
 
     def add_decision(self, decision: Decision) -> None:
         """Record a cycle of the loop; the files around the beginning of a slip or a fault are kept."""
-        grasp = decision.memory.grasp
+        grasp = decision.state_before.grasp
         slipping, faulty = grasp.held.slip is not None, decision.output.fault is not None
         keep = (slipping and not self._slipping) or (faulty and not self._faulty)
         self._slipping, self._faulty = slipping, faulty
@@ -145,7 +145,38 @@ class RecordingObserver:
             _sequence(estimates.get("left")),
             _sequence(estimates.get("right")),
         )
-        self._recorder.add(RecordedCycle(record, decision.memory, keep))
+        self._recorder.add(RecordedCycle(record, decision.state_before, keep))
+
+
+async def record(
+    service: Service,
+    recorder: Recorder,
+    make_observer: Callable[[RecordingSink], RecordingObserver] = RecordingObserver,
+) -> None:
+    """Record until cancelled; then write the waiting values and close the file."""
+    with (
+        observed(service, make_observer(recorder)),
+        service.event_log.listeners.attached(lambda event: recorder.add(_as_message(event))),
+    ):
+        recorder.start()
+        try:
+            await asyncio.get_running_loop().create_future()
+        finally:
+            await asyncio.to_thread(recorder.stop, STOP_S)
+
+
+@contextlib.contextmanager
+def observed(service: Service, observer: RecordingObserver) -> Iterator[None]:
+    """Pass each frame and each decision of a service to an observer."""
+    with contextlib.ExitStack() as attached:
+        for name, finger in service.fingers.items():
+            attached.enter_context(finger.observers.attached(partial(observer.add_frame, name)))
+        attached.enter_context(service.observers.attached(observer.add_decision))
+        yield
+
+
+def _as_message(event: Event) -> RecordedMessage:
+    return RecordedMessage(event.at_s, event.line, event.level == "fault")
 
 
 def _sequence(estimate: Estimate | None) -> int | None:

@@ -224,7 +224,7 @@ class CampaignCell:
             make_pipeline={name: maker(name) for name in FINGERS},
             store=self._state,
             controller=control_step,
-            memory=restore_control_state(self._state),
+            control_state=restore_control_state(self._state),
         )
         service.observers.append(
             LastGraspSaver(self._state, service.event_log.info, service.event_log.warning).add_decision

@@ -78,7 +78,7 @@ class WorkShift:
         service.observers.append(self._decided)
 
     def _decided(self, decision: Decision) -> None:
-        slipping = decision.memory.grasp.held.slip is not None
+        slipping = decision.state_before.grasp.held.slip is not None
         self.counts["slips"] += slipping and not self._slipping
         self.counts["tightenings"] += decision.output.hold_force_n is not None
         self.counts["cycles of the loop"] += 1
