@@ -92,25 +92,18 @@ class LiftRecorder:
         self._broken: OSError | None = None
         self._part = path.with_name(path.name + PART)
         self._clock = RecordingClock(time.time_ns(), asyncio.get_running_loop().time())
-        self._observer = RecordingObserver(self)
-        self._finger_observers = {
-            name: (lambda processed, name=name: self._observer.add_frame(name, processed)) for name in service.fingers
-        }
+        self._attached = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         with contextlib.suppress(OSError):
             self._part.unlink()
-        for name, finger in self._service.fingers.items():
-            finger.observers.append(self._finger_observers[name])
-        self._service.observers.append(self._observer.add_decision)
+        self._attached.enter_context(observed(self._service, RecordingObserver(self)))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for name, finger in self._service.fingers.items():
-            finger.observers.remove(self._finger_observers[name])
-        self._service.observers.remove(self._observer.add_decision)
+        self._attached.close()
         file, self._file = self._file, None  # the camera's thread may still deliver an image
         if error is None and self._broken is None and file is not None:
             try:

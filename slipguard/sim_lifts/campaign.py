@@ -234,14 +234,11 @@ def _watched(
         show(progress)
 
     timers: list[asyncio.Handle] = [loop.call_soon(sample_truth)]
-    service.observers.append(decided)
-    service.hold_observers.append(record.latency_s.append)
     try:
-        yield
+        with service.observers.attached(decided), service.hold_observers.attached(record.latency_s.append):
+            yield
     finally:
         timers[0].cancel()
-        service.hold_observers.remove(record.latency_s.append)
-        service.observers.remove(decided)
 
 
 def unguarded_step(

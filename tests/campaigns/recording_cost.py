@@ -214,15 +214,12 @@ def _measured(service: Service, lift: LiftCost) -> Iterator[None]:
     def decided(decision: Decision) -> None:
         lift.latencies_s.extend(decision.latencies_s)
 
-    service.observers.append(decided)
-    service.hold_observers.append(lift.latencies_s.append)
     missed, process_s = service.deadlines_missed, _process_s()
     wall_s, loop_s = time.perf_counter(), time.thread_time()
     try:
-        yield
+        with service.observers.attached(decided), service.hold_observers.attached(lift.latencies_s.append):
+            yield
     finally:
-        service.observers.remove(decided)
-        service.hold_observers.remove(lift.latencies_s.append)
         lift.wall_s, lift.loop_s = time.perf_counter() - wall_s, time.thread_time() - loop_s
         lift.process_s = _process_s() - process_s
         lift.missed = service.deadlines_missed - missed

@@ -8,6 +8,7 @@ this gel, so that a new calibration does not hide wear. A change is logged once,
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -126,16 +127,12 @@ class GelMonitor:
 
     async def run(self) -> None:
         """Monitor until cancelled."""
-        observed = [(finger, partial(self.add_frame, name)) for name, finger in self._service.fingers.items()]
-        for finger, observer in observed:
-            finger.observers.append(observer)
-        try:
+        with contextlib.ExitStack() as attached:
+            for name, finger in self._service.fingers.items():
+                attached.enter_context(finger.observers.attached(partial(self.add_frame, name)))
             while True:
                 name, mean = await self._averages.get()
                 await self._compare(name, mean)
-        finally:
-            for finger, observer in observed:
-                finger.observers.remove(observer)
 
     def add_frame(self, name: str, processed: ProcessedFrame) -> None:
         """Take one frame of a finger into account. Takes microseconds; every `SAMPLE_S` a tenth of a millisecond."""

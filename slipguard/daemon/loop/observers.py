@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 import structlog
@@ -26,6 +27,15 @@ class Observers(list[Callable[[T], object]]):
         self.errors = 0
         self.report = report
         self._reported: set[str] = set()
+
+    @contextlib.contextmanager
+    def attached(self, observer: Callable[[T], object]) -> Iterator[None]:
+        """Pass each value to this observer too."""
+        self.append(observer)
+        try:
+            yield
+        finally:
+            self.remove(observer)
 
     def notify(self, value: T) -> None:
         """Pass a value to all observers."""

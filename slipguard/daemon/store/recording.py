@@ -7,10 +7,10 @@ import contextlib
 import hashlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import cv2
 
@@ -33,7 +33,6 @@ SEGMENT_S = 20.0
 IDLE_IMAGE_S = 1.0
 """While nothing is held or touched, one image in this time is recorded."""
 STOP_S = 5.0
-T = TypeVar("T")
 
 
 def make_recorder(service: Service, folder: Path) -> Recorder:
@@ -52,34 +51,6 @@ def make_recorder(service: Service, folder: Path) -> Recorder:
         header=lambda: header(service),
         on_trouble=lambda text: _call_in(loop, service.event_log.warning, text),
     )
-
-
-async def record(
-    service: Service, recorder: Recorder, make_observer: Callable[[RecordingSink], RecordingObserver] | None = None
-) -> None:
-    """Record until cancelled; then write the waiting values and close the file."""
-    observer = (make_observer or RecordingObserver)(recorder)
-    loop = asyncio.get_running_loop()
-    with contextlib.ExitStack() as attached:
-        for name, finger in service.fingers.items():
-            on_frame: Callable[[ProcessedFrame], None] = partial(observer.add_frame, name)
-            _attach(attached, finger.observers, on_frame)
-        _attach(attached, service.observers, observer.add_decision)
-        _attach(attached, service.event_log.listeners, lambda event: recorder.add(_as_message(event)))
-        recorder.start()
-        try:
-            await loop.create_future()
-        finally:
-            await asyncio.to_thread(recorder.stop, STOP_S)
-
-
-def _as_message(event: Event) -> RecordedMessage:
-    return RecordedMessage(event.at_s, event.line, event.level == "fault")
-
-
-def _attach(attached: contextlib.ExitStack, observers: list[T], observer: T) -> None:
-    observers.append(observer)
-    attached.callback(observers.remove, observer)
 
 
 class RecordingSink(Protocol):
