@@ -48,14 +48,13 @@ class Pictures:
     async def start(self) -> None:
         """Nothing to get ready."""
 
-    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> bool:
+    def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> None:
         self.count += 1
         self.shown[self.count] = self.world.truth(asyncio.get_running_loop().time())
         self.shown.pop(self.count - 100, None)
         row = np.full(SHAPE[1:], 60 * (self.count % 2) if self.flickers else 0, np.uint8)
         row[0] = tuple(self.count.to_bytes(3, "little"))
         done(np.broadcast_to(row, SHAPE))
-        return True
 
     def truth(self, image: Image) -> WorldTruth:
         return self.shown[int.from_bytes(image[0, 0].tobytes(), "little")]

@@ -1,9 +1,8 @@
 """Driver `fake` of the sensor: a fingertip camera of the simulated world, with a real camera's timing.
 
-It exposes on an absolute schedule, stamps frames with jitter, delivers them after a latency, loses, repeats and tears
-some.
-`world.faults` can make it fail: "disconnect", "stall", "frozen", "corrupt", "duplicate" (every second image comes
-twice), "light" (an additional lamp), "stamps_ahead" and "stamps_behind" (a wrong clock).
+It exposes on an absolute schedule, stamps frames with jitter, and delivers them after a latency. It loses, repeats and
+tears some. `world.faults` can make it fail: "disconnect", "stall", "frozen", "corrupt", "duplicate" (every second image
+comes twice), "light" (an additional lamp), "stamps_ahead" and "stamps_behind" (a wrong clock).
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import math
 import random
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -20,13 +20,14 @@ from slipguard.devices import DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
 from slipguard.frame_stream import FrameStream
 from slipguard_drivers.digit.fake_renderer import (
-    BackgroundRenderer,
-    EncodingRenderer,
+    GelRenderer,
     Image,
     InlineRenderer,
     ProcessRenderer,
     Renderer,
     RenderRequest,
+    encode_views,
+    repeat_background,
 )
 
 if TYPE_CHECKING:
@@ -76,8 +77,10 @@ class FakeSensor(TactileSensor):
         if draw == "process":
             return ProcessRenderer(self._name, unit_seed, self._lose)
         if draw == "encoded":
-            return EncodingRenderer()
-        return BackgroundRenderer(unit_seed) if draw == "background" else InlineRenderer(unit_seed)
+            return InlineRenderer(encode_views)
+        if draw == "background":
+            return InlineRenderer(partial(repeat_background, unit_seed))
+        return InlineRenderer(lambda: GelRenderer(unit_seed).render)
 
     @property
     def serial(self) -> str:

@@ -9,7 +9,7 @@ import os
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import cycle
+from itertools import count, cycle
 from typing import Protocol
 
 import numpy as np
@@ -41,6 +41,9 @@ class RenderRequest:
     noise_seed: int
 
 
+RenderFunction = Callable[[RenderRequest], Image]
+
+
 class GelRenderer:
     """Renders the images of one sensor unit. A new noise seed restarts the noise, so a grasp can be repeated."""
 
@@ -65,8 +68,8 @@ class Renderer(Protocol):
     async def start(self) -> None:
         """Prepare. Raises DeviceTimeout or DeviceLost."""
 
-    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Render the image and call `done` with it; return False if it is too busy."""
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> None:
+        """Render the image and call `done` with it, or leave it out if it is too busy."""
         ...
 
     def stop(self) -> None:
@@ -75,48 +78,33 @@ class Renderer(Protocol):
 
 
 class InlineRenderer(Renderer):
-    """Renders before it returns, in the calling process: for virtual time, in which rendering takes no time."""
+    """Renders before it returns, in the calling process: for virtual time, in which rendering takes no time.
 
-    def __init__(self, unit_seed: int) -> None:
-        self._unit_seed = unit_seed
+    prepare: Returns the function that renders; called by `start`.
+    """
 
-    async def start(self) -> None:
-        self._gel_renderer = GelRenderer(self._unit_seed)
-
-    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
-        done(self._gel_renderer.render(request))
-        return True
-
-
-class BackgroundRenderer(Renderer):
-    """Repeats a few images of the gel without contact, for hours of virtual time in which no image is evaluated."""
-
-    def __init__(self, unit_seed: int) -> None:
-        self._unit_seed = unit_seed
+    def __init__(self, prepare: Callable[[], RenderFunction]) -> None:
+        self._prepare = prepare
 
     async def start(self) -> None:
-        background = RenderRequest(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
-        gel_renderer = GelRenderer(self._unit_seed)
-        self._images = cycle([gel_renderer.render(background) for _ in range(BACKGROUND_IMAGES)])
+        self._render_image = self._prepare()
 
-    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
-        done(next(self._images))
-        return True
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> None:
+        done(self._render_image(request))
 
 
-class EncodingRenderer(Renderer):
-    """Encodes the view as numbers instead of rendering it (`slipguard.sim.gel_view.encode_view`)."""
+def repeat_background(unit_seed: int) -> RenderFunction:
+    """Return a function that repeats a few images of the gel without contact, for hours of virtual time."""
+    background = RenderRequest(GelView(""), (0.0, 0.0, 0.0), noise_seed=0)
+    gel_renderer = GelRenderer(unit_seed)
+    images = cycle([gel_renderer.render(background) for _ in range(BACKGROUND_IMAGES)])
+    return lambda request: next(images)
 
-    def __init__(self) -> None:
-        self._count = 0
 
-    async def start(self) -> None:
-        return
-
-    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
-        self._count += 1
-        done(encode_view(request.view, request.light_drift_bgr, self._count))
-        return True
+def encode_views() -> RenderFunction:
+    """Return a function that encodes the view as numbers (`slipguard.sim.gel_view.encode_view`)."""
+    numbers = count(1)
+    return lambda request: encode_view(request.view, request.light_drift_bgr, next(numbers))
 
 
 class ProcessRenderer(Renderer):
@@ -166,18 +154,17 @@ class ProcessRenderer(Renderer):
         finally:
             os.close(memory_fd)
 
-    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> bool:
-        """Send the request to the child; return False if all slots are in use."""
+    def render(self, request: RenderRequest, done: Callable[[Image], None]) -> None:
+        """Send the request to the child, unless all slots are in use."""
         if not self._free or self._child is None:
-            return False
+            return
         slot = self._free.pop()
         try:
             self._child.link.send(pickle.dumps((slot, request)))
         except OSError:  # a dead child is noticed by its end of file
             self._free.append(slot)
-            return False
+            return
         self._waiting[slot] = done
-        return True
 
     def stop(self) -> None:
         """End the child and free the memory. Idempotent."""
