@@ -13,6 +13,7 @@ from functools import lru_cache
 from slipguard.errors import InputError
 
 GRAVITY_M_S2 = 9.80665
+FINGER_COUNT = 2
 NO_CONTACT_N = 1e-6
 """Below this force a finger counts as not touching."""
 

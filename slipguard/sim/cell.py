@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from slipguard.limit_surface import NO_CONTACT_N
+from slipguard.limit_surface import FINGER_COUNT, NO_CONTACT_N
 from slipguard.sim import arm_plant, gripper_plant, object_motion
 from slipguard.sim.arm_plant import ArmPlant, ArmPose
 from slipguard.sim.friction import SoftPad
@@ -239,7 +239,7 @@ def truth(cell: CellState, here: ArmPose, now_s: float) -> WorldTruth:
         force_n=cell.gripper.force_n,
         applied_n=cell.gripper.applied_n,
         needed_force_n=placed.needed_n if placed is not None else 0.0,
-        load_n=max(motion.load_n, 0.0) / (placed.body.n_fingers if placed is not None else 1),
+        load_n=max(motion.load_n, 0.0) / FINGER_COUNT,
         height_mm=here.height_mm,
         on_table=placed is not None and cell.dropped is None and (not cell.held or motion.on_table),
         in_contact=cell.held or cell.gels_meet,

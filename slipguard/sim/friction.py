@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
+from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, Pad, force_needed_n
 from slipguard.sim.sim_object import SimObject
 
 STIFFNESS_RADIUS_M = 6e-3
@@ -51,13 +51,13 @@ class SoftPad(Pad):
         return torsion, torsion / (STIFFNESS_RADIUS_M * ratio) ** 2
 
 
-def needed_force_n(item: SimObject, gel: SoftPad, n_fingers: int = 2, acceleration_m_s2: float = 0.0) -> float:
+def needed_force_n(item: SimObject, gel: SoftPad, acceleration_m_s2: float = 0.0) -> float:
     """Return the force per finger at which a level object just does not slip.
 
     Args:
         acceleration_m_s2: of the lift, upward positive; in free fall the load is 0.
     """
-    load_n = item.mass_kg * max(GRAVITY_M_S2 + acceleration_m_s2, 0.0) / n_fingers
+    load_n = item.mass_kg * max(GRAVITY_M_S2 + acceleration_m_s2, 0.0) / FINGER_COUNT
     return force_needed_n(load_n, item.com_offset_mm * 1e-3, item.friction, gel)
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from slipguard.errors import InputError
-from slipguard.limit_surface import GRAVITY_M_S2, NO_CONTACT_N, pressure_shape
+from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, NO_CONTACT_N, pressure_shape
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.object_motion import ExternalLoad, GraspedBody, ObjectMotion, table_reaction_n
 
@@ -172,7 +172,7 @@ class MujocoPlant:
         MuJoCo's friction is dry. Implicit in the speed, for the drag of a step may exceed a light object's momentum.
         """
         x_m_s, z_m_s, rate = self._slip_speeds()
-        touch = body.n_fingers * min(force_n, 1.0)
+        touch = FINGER_COUNT * min(force_n, 1.0)
         shear, torsion = touch * gel.viscous_n_s_m, touch * gel.viscous_n_m_s
         linear = shear / (1.0 + step_s * shear / body.mass_kg)
         return -linear * x_m_s, -linear * z_m_s, -torsion / (1.0 + step_s * torsion / body.inertia_kg_m2) * rate

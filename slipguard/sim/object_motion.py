@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 from slipguard.errors import InputError
-from slipguard.limit_surface import GRAVITY_M_S2, NO_CONTACT_N, pressure_shape
+from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, NO_CONTACT_N, pressure_shape
 from slipguard.sim.friction import SoftPad, return_to_surface
 from slipguard.sim.sim_object import SimObject
 
@@ -43,19 +43,18 @@ class GraspedBody:
     inertia_kg_m2: float
     """About the grasp axis: I0 + m b^2."""
     friction: float
-    n_fingers: int = 2
     translates: bool = True
     friction_difference: float = 0.0
     lever_rad: float = 0.0
 
     @classmethod
-    def of(cls, item: SimObject, n_fingers: int = 2, translates: bool = True) -> GraspedBody:
+    def of(cls, item: SimObject, translates: bool = True) -> GraspedBody:
         """Return the mechanics of an object; raise InputError if mass, inertia or friction is not positive."""
         lever_m = item.com_offset_mm * 1e-3
         if item.mass_kg <= 0 or item.inertia_kg_m2 <= 0 or item.friction <= 0:
             raise InputError(f"{item.name}: mass, inertia and friction must be above 0")
         inertia = item.inertia_kg_m2 + item.mass_kg * lever_m**2
-        return cls(item.mass_kg, lever_m, inertia, item.friction, n_fingers, translates)
+        return cls(item.mass_kg, lever_m, inertia, item.friction, translates)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +156,7 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
             slipping=True,
         )
 
-    n = body.n_fingers
+    n = FINGER_COUNT
     torsion, shear = gel.stiffness(load.force_n)
     # Friction per elastic rate during the step: spring and damper together.
     elastic_s = dt + gel.relaxation_s

@@ -43,7 +43,7 @@ def run(
 
 
 def tau_c(force_n: float, body: GraspedBody = HINGED) -> float:
-    return body.n_fingers * torque_limit_n_m(force_n, body.friction, RIGID)
+    return 2 * torque_limit_n_m(force_n, body.friction, RIGID)
 
 
 def test_a_torque_below_the_limit_winds_up_and_does_not_drift() -> None:
