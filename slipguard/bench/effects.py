@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from slipguard.bench.comparison_pipelines import AxialRotation, axis_of_points
 from slipguard.bench.pipelines import BenchPipeline
-from slipguard.bench.results import BaselineResult, EffectResult, mean, quantile
+from slipguard.bench.results import BaselineResult, EffectResult
 from slipguard.datasets.effect_scenes import EFFECTS, EffectName, effect_cases, render_effect
 from slipguard.tools.parallel import Workers, each
+from slipguard.tools.sample_statistics import mean, quantile
 
 SEED = 9100
 """Estimators were tuned on other seeds and objects."""

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.bench.pipelines import BenchPipeline, FrameProcessor
-from slipguard.bench.results import BenchRow, mean, quantile
+from slipguard.bench.results import BenchRow
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED, GraspFrame, RenderedGrasp
 from slipguard.perception.estimate import Estimate
+from slipguard.tools.sample_statistics import mean, quantile
 
 CONFIDENT_SIGMAS = 3.0
 QUARTERS = 4

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import onnxruntime as ort
 
 PUBLISHED: dict[str, Any] = {
@@ -214,16 +213,6 @@ def pareto_front(rows: Iterable[BenchRow]) -> set[str]:
         for name, ms, error in known
         if not any(ms2 <= ms and e2 <= error and (ms2 < ms or e2 < error) for _, ms2, e2 in known)
     }
-
-
-def quantile(values: Iterable[float], share: float) -> float | None:
-    found = list(values)
-    return float(np.quantile(found, share)) if found else None
-
-
-def mean(values: Iterable[float]) -> float | None:
-    found = list(values)
-    return float(np.mean(found)) if found else None
 
 
 def machine() -> dict[str, Any]:

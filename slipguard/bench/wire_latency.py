@@ -34,7 +34,8 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.run import build_service
 from slipguard.errors import SlipguardError
 from slipguard.tools.cell_process import CellProcess
-from slipguard.tools.waiting import wait_until
+from slipguard.tools.sample_statistics import percentiles_ms
+from slipguard.tools.waiting import running_service, wait_until
 
 STEP_N = 0.85
 """A little more than one count of the force register (0.843 N)."""
@@ -267,5 +268,4 @@ def _evaluate(
 
 
 def _spread(times_s: NDArray[np.float64]) -> StageLatency:
-    p50, p99 = np.percentile(times_s, (50, 99)) * 1e3
-    return StageLatency(float(p50), float(p99), float(times_s.max() * 1e3))
+    return StageLatency(*percentiles_ms(times_s), float(times_s.max() * 1e3))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Iterator, Sequence
 
-import numpy as np
-
 from slipguard.devices import ACTIVATION_HINT, Gripper, GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
+from slipguard.tools.sample_statistics import percentiles_ms
 
 READS = 100
 LOST_SHARE = 0.01
@@ -19,12 +18,6 @@ SLOW_ACTION = (
     f"slow (limit {SLOW_MS:g} ms): a busy processor, or an adapter whose latency timer is not 1 ms "
     "(`slipguard install` installs the udev rule)"
 )
-
-
-def percentiles_ms(times_s: Sequence[float]) -> tuple[float, float]:
-    """Return p50 and p99 in milliseconds. times_s: at least one."""
-    p50, p99 = np.percentile(np.asarray(times_s), (50, 99)) * 1e3
-    return float(p50), float(p99)
 
 
 def describe_times(times_s: Sequence[float]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from slipguard.bench.results import PUBLISHED
 from slipguard.evaluation.lift_analysis import LiftResult
+from slipguard.tools.sample_statistics import mean, rounded
 
 PAPER = {name: PUBLISHED[name] for name in ("turn_error_mean_deg", "turn_error_sd_deg", "turn_error_worst_object_deg")}
 PAPER_DICE, PAPER_IOU = (0.956, 0.013), (0.914, 0.023)
@@ -31,8 +32,8 @@ class LiftStatistics:
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON form, rounded to four digits."""
-        rounded = {name: _rounded(getattr(self, name)) for name in ("mean", "sd", "worst", "low", "high")}
-        return {"n": self.n, **rounded}
+        values = {name: rounded(getattr(self, name)) for name in ("mean", "sd", "worst", "low", "high")}
+        return {"n": self.n, **values}
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,14 +102,14 @@ def report_json(lifts: list[LiftResult]) -> dict[str, Any]:
         "lifts": len(lifts),
         "simulated": all(lift.simulated for lift in lifts),
         "lifts_compared": fused.n,
-        "turn_error_mean_deg": _rounded(fused.mean),
-        "turn_error_sd_deg": _rounded(fused.sd),
-        "turn_error_worst_object_deg": _rounded(worst),
-        "turn_error_worst_lift_deg": _rounded(fused.worst),
-        "turn_error_with_the_lag_left_in_deg": _mean(unaligned),
-        "declined_share": _mean([lift.declined_share for lift in lifts]),
-        "within_1_sigma": _mean([pair[0] for pair in known if pair[0] is not None]),
-        "within_2_sigma": _mean([pair[1] for pair in known if pair[1] is not None]),
+        "turn_error_mean_deg": rounded(fused.mean),
+        "turn_error_sd_deg": rounded(fused.sd),
+        "turn_error_worst_object_deg": rounded(worst),
+        "turn_error_worst_lift_deg": rounded(fused.worst),
+        "turn_error_with_the_lag_left_in_deg": rounded(mean(unaligned)),
+        "declined_share": rounded(mean([lift.declined_share for lift in lifts])),
+        "within_1_sigma": rounded(mean([pair[0] for pair in known if pair[0] is not None])),
+        "within_2_sigma": rounded(mean([pair[1] for pair in known if pair[1] is not None])),
         "per_estimator": {name: lift_statistics(errors_of(lifts, name)).as_json() for name in ESTIMATORS},
         "seen": lift_statistics(errors_of([lift for lift in lifts if lift.seen], "fused")).as_json(),
         "unseen": lift_statistics(errors_of([lift for lift in lifts if not lift.seen], "fused")).as_json(),
@@ -119,17 +120,17 @@ def report_json(lifts: list[LiftResult]) -> dict[str, Any]:
                 "lifts": one.lifts,
                 "seen": one.seen,
                 "hard": one.hard or None,
-                "declined_share": _rounded(one.declined_share),
+                "declined_share": rounded(one.declined_share),
                 "turns_deg": [round(rotation, 2) for rotation in one.rotations_deg],
                 **{name: one.errors[name].as_json() for name in ESTIMATORS},
             }
             for one in objects
         },
-        "lag_error_frames": _rounded(max(lags)) if lags else None,
+        "lag_error_frames": rounded(max(lags)) if lags else None,
         "lag_ms": {lift.stem: round(1e3 * lift.lag_s, 1) for lift in lifts if lift.lag_unknown is None},
         "lag_unknown": {lift.stem: lift.lag_unknown for lift in lifts if lift.lag_unknown is not None},
-        "aruco_error_mean_deg": _mean(markers),
-        "aruco_error_worst_deg": _rounded(
+        "aruco_error_mean_deg": rounded(mean(markers)),
+        "aruco_error_worst_deg": rounded(
             max((lift.marker_error_worst_deg or 0.0 for lift in lifts), default=0.0) if markers else None
         ),
         "camera_gaps": sum(lift.camera_gaps for lift in lifts),
@@ -139,11 +140,3 @@ def report_json(lifts: list[LiftResult]) -> dict[str, Any]:
         "problems": {lift.stem: lift.problem for lift in lifts if lift.problem is not None},
         "paper_real_cell_as_published": PAPER | {"dice": PAPER_DICE[0], "iou": PAPER_IOU[0]},
     }
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(float(value), 4)
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return _rounded(float(np.mean(values))) if values else None

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slipguard.devices import FINGERS
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.world import WorldTruth
+from slipguard.tools.sample_statistics import percentiles_ms, rounded
 
 IMAGE_SIGN = {"left": 1.0, "right": -1.0}
 """A rotation that is counter-clockwise in the left image is clockwise in the right image."""
@@ -102,11 +103,6 @@ class LiftRecord:
         return sum(len(self.estimates[name]) for name in FINGERS)
 
 
-def mean_abs(errors_deg: NDArray[np.float64]) -> float | None:
-    """Return the mean absolute value; None without values."""
-    return float(np.mean(np.abs(errors_deg))) if errors_deg.size else None
-
-
 @dataclass(frozen=True, slots=True)
 class SourceRotationErrors:
     """Rotation errors of one source (a finger, the fused rotation, an estimator) over all lifts that count."""
@@ -144,12 +140,16 @@ def rotation_errors(records: list[LiftRecord], source: str) -> SourceRotationErr
     return SourceRotationErrors(source, lifts, float(every.mean()), p95_deg, means[worst], worst)
 
 
+def latency_figures(latencies_s: list[float], *, realtime: bool) -> dict[str, float | None]:
+    """Return p50 and p99 under their public keys; None on a virtual clock, on which latencies mean nothing."""
+    p50_ms, p99_ms = percentiles_ms(latencies_s) if realtime and latencies_s else (None, None)
+    return {"latency_p50_ms": rounded(p50_ms, 2), "latency_p99_ms": rounded(p99_ms, 2)}
+
+
 def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
     """Return the figures of a campaign under the keys of the public `--json` line."""
     fused = rotation_errors(records, "fused")
     rotations = np.abs([record.true_rotation_deg for record in records]) if records else np.empty(0)
-    latencies_ms = 1e3 * np.array([value for record in records for value in record.latency_s])
-    timed = realtime and latencies_ms.size > 0
     frames = sum(record.frames for record in records)
     skipped = sum(sum(record.skips.values()) for record in records)
     outcomes = Counter(record.outcome for record in records)
@@ -159,19 +159,14 @@ def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
         "dropped": outcomes["dropped"],
         "refused": outcomes["refused"],
         "turn_error_lifts": fused.lifts,
-        "turn_error_mean_deg": _rounded(fused.mean_deg, 3),
-        "turn_error_worst_object_deg": _rounded(fused.worst_object_deg, 3),
-        "true_turn_median_deg": _rounded(float(np.median(rotations)) if rotations.size else None, 2),
-        "true_turn_max_deg": _rounded(float(rotations.max()) if rotations.size else None, 2),
+        "turn_error_mean_deg": rounded(fused.mean_deg, 3),
+        "turn_error_worst_object_deg": rounded(fused.worst_object_deg, 3),
+        "true_turn_median_deg": rounded(float(np.median(rotations)) if rotations.size else None, 2),
+        "true_turn_max_deg": rounded(float(rotations.max()) if rotations.size else None, 2),
         "over_20_deg_or_dropped": sum(
             record.outcome == "dropped" or abs(record.true_rotation_deg) > 20.0 for record in records
         ),
-        "latency_p50_ms": _rounded(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
-        "latency_p99_ms": _rounded(float(np.percentile(latencies_ms, 99)), 2) if timed else None,
-        "skipped_share": _rounded(skipped / frames if frames else 0.0, 4),
+        **latency_figures([value for record in records for value in record.latency_s], realtime=realtime),
+        "skipped_share": rounded(skipped / frames if frames else 0.0, 4),
         "deadlines_missed": sum(record.deadlines_missed for record in records),
     }
-
-
-def _rounded(value: float | None, digits: int) -> float | None:
-    return None if value is None else round(value, digits)

@@ -14,6 +14,7 @@ from rich.table import Table
 from slipguard.devices import FINGERS
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, LiftRecord, latency_figures, rotation_errors, summary
 from slipguard.tools import plotting as figures
+from slipguard.tools.sample_statistics import mean, rounded
 
 ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
 WIDE = 90
@@ -26,9 +27,6 @@ LEGEND = (
 
 
 def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
-    latencies_ms = 1e3 * np.asarray(record.latency_s)
-    timed = realtime and latencies_ms.size > 0
-    error = mean_abs(record.errors_deg(record.fused))
     sigmas = [one.sigma_deg for one in record.fused]
     rotations_deg: list[float] = [one.rotation_deg for one in record.fused if one.captured_at_s <= record.ended_at_s]
     peak_deg: float = max(rotations_deg, key=abs, default=0.0)
@@ -38,12 +36,11 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
         "why": record.why or None,
         "true_turn_deg": round(record.true_rotation_deg, 2),
         "measured_turn_deg": round(peak_deg, 2) if rotations_deg else None,
-        "turn_error_deg": None if error is None else round(error, 3),
+        "turn_error_deg": rounded(mean(np.abs(record.errors_deg(record.fused))), 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max((now.force_n for now in record.truth), default=0.0), 1),
         "needed_force_n": round(max((now.needed_force_n for now in record.truth), default=0.0), 1),
-        "latency_p50_ms": round(float(np.percentile(latencies_ms, 50)), 2) if timed else None,
-        "latency_p99_ms": round(float(np.percentile(latencies_ms, 99)), 2) if timed else None,
+        **latency_figures(record.latency_s, realtime=realtime),
         "frames": record.frames,
         "skipped": dict(record.skips),
         "deadlines_missed": record.deadlines_missed,

@@ -19,6 +19,7 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
+from slipguard.tools.sample_statistics import rounded
 
 PX_PER_MM = 18.5
 """Scale of a DIGIT at 240 x 320; only shifts depend on it."""
@@ -74,9 +75,9 @@ def as_json(measured: FrameMeasurement) -> dict[str, Any]:
         "frame": measured.frame.name,
         "contact": estimate.contact,
         "contact_area_px": estimate.contact_area_px,
-        "angle_deg": _rounded(estimate.rotation_deg),
-        "orientation_deg": _rounded(estimate.orientation_deg),
-        "sigma_deg": _rounded(estimate.sigma_deg),
+        "angle_deg": rounded(estimate.rotation_deg),
+        "orientation_deg": rounded(estimate.orientation_deg),
+        "sigma_deg": rounded(estimate.sigma_deg),
         "reference": measured.reference,
         "method": estimate.method,
         "skipped": estimate.skipped,
@@ -124,10 +125,6 @@ def plot(results: list[FrameMeasurement], path: Path, background_known: bool) ->
     for axes in (rotation, axis, area):
         axes.grid(alpha=0.3)
     save(drawing, path)
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)
 
 
 def _series(values: list[float | None]) -> NDArray[np.float64]:
