@@ -52,8 +52,8 @@ def problem(check: str, observed: str, action: str) -> CheckResult:
     return CheckResult(check, CheckStatus.PROBLEM, observed, action)
 
 
-def problem_from_error(check: str, error: Exception, device: str, default_action: str) -> CheckResult:
-    """Return a problem from an error message: what was observed before the last `; `, the action after it.
+def problem_from_error(check: str, error: Exception | str, device: str, default_action: str) -> CheckResult:
+    """Return a problem from an error or its message: what was observed before the last `; `, the action after it.
 
     device: its name is removed from the beginning of the message. default_action: if the message has none.
     """

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
 from slipguard import __version__
 from slipguard.daemon.loop.gel_monitor import GelStatus
 from slipguard.devices import GripperState
-from slipguard.diagnosis import CheckResult, note, ok, problem
+from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor import gripper, sensor
 
 OBSERVE_S = 2.0
@@ -112,7 +112,5 @@ def check_health(check: str, name: str, samples: DaemonSamples, observed: str) -
     health = samples.after["devices"][name]
     if health["state"] == "ready":
         return ok(check, observed)
-    text = str(health.get("reason") or health["state"]).removeprefix(f"{name}: ")
-    reason, separator, action = text.rpartition("; ")
-    default = "check its cable and power"
-    return problem(check, f"{health['state']}: {reason if separator else text}", action if separator else default)
+    found = problem_from_error(check, health.get("reason") or health["state"], name, "check its cable and power")
+    return replace(found, observed=f"{health['state']}: {found.observed}")
