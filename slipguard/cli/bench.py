@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipguard.cli.options import JsonOption
 from slipguard.cli.terminal import make_folder, progress_bar
 from slipguard.errors import InputError
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 def bench(
     quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object: about a minute.")] = True,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of the tables.")] = False,
+    json: JsonOption = False,
     out: Annotated[
         Path | None, typer.Option(help="Folder for bench.json and bench.png; with --grip for grip.json and grip.png.")
     ] = None,

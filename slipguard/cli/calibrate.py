@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipguard.cli.interrupt import default_interrupts
-from slipguard.cli.run import USUAL_FILE, ConfigOption
+from slipguard.cli.options import USUAL_FILE, ConfigOption, JsonOption, SocketOption
 
 if TYPE_CHECKING:
     from slipguard.config import Config
@@ -26,7 +26,7 @@ StoredImages = Mapping[str, Any]
 
 def calibrate(
     config: ConfigOption = USUAL_FILE,
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon. Default: searched.")] = None,
+    socket: SocketOption = None,
     force: Annotated[bool, typer.Option("--force", help="Also if the stored image indicates contact.")] = False,
     new_gel: Annotated[
         bool, typer.Option("--new-gel", help="The gels were replaced: count wear from this image on.")
@@ -47,7 +47,7 @@ def calibrate(
         typer.Option(min=1, help="Use this older image of --finger again.", rich_help_panel=STORED_IMAGES_PANEL),
     ] = None,
     finger: Annotated[str | None, typer.Option(help="left or right.", rich_help_panel=STORED_IMAGES_PANEL)] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Store a background image (no contact) of each finger. Needed before the first grasp.
 

@@ -35,6 +35,8 @@ ForceLimitOption = Annotated[
 ]
 HeightOption = Annotated[float | None, typer.Option(help="Millimeters. Default: from the configuration.")]
 SpeedOption = Annotated[float | None, typer.Option(help="Millimeters per second. Default: from the configuration.")]
+WidthOption = Annotated[float | None, typer.Option(help="Millimeters between the jaws.")]
+YesOption = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 ACTIVATION_QUESTION = (
     "The jaws open and close fully, at full speed and force, and press the gels against each other. Take the gels off "
     "or cover them with something soft, empty the jaws and keep your hands out. Activate the gripper?"
@@ -42,7 +44,6 @@ ACTIVATION_QUESTION = (
 RELEASE_QUESTION = (
     "Open the jaws? A held object drops. A gripper that is not activated is activated: its jaws also close fully."
 )
-WidthOption = Annotated[float | None, typer.Option(help="Millimeters between the jaws.")]
 
 
 class OnOff(StrEnum):
@@ -179,7 +180,7 @@ def gripper(
 @app.command()
 def release(
     context: typer.Context,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: YesOption = False,
     width_mm: WidthOption = None,
     socket: SocketOption = None,
     json: JsonOption = False,
@@ -197,7 +198,7 @@ def release(
 @app.command()
 def activate(
     context: typer.Context,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: YesOption = False,
     force: Annotated[
         bool, typer.Option("--force", help="Also if a finger sees contact: the gels are covered or taken off.")
     ] = False,
@@ -220,7 +221,7 @@ def activate(
 @app.command()
 def fingertips(
     context: typer.Context,
-    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")] = False,
+    yes: YesOption = False,
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:

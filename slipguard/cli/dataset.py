@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipguard.cli.options import ClusterOption, JobsOption, SocketOption
 from slipguard.cli.terminal import count_bar
 from slipguard.errors import InputError
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown")
 Out = Annotated[Path, typer.Option(help="Folder to write to: new or empty.")]
 Sheet = Annotated[Path | None, typer.Option("--show", help="Write an overview of some frames to this PNG.")]
-Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")]
 BACKGROUND_HELP = "Background image (no contact) of the sensor, 240 wide x 320 high."
 
 
@@ -53,10 +53,8 @@ def render(
         typer.Option(help="Folder of real background images, 240 wide x 320 high, for half of the simulated sensors."),
     ] = None,
     show: Sheet = None,
-    jobs: Jobs = 0,
-    cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler to render on instead of this machine: tcp://HOST:8786.")
-    ] = None,
+    jobs: JobsOption = 0,
+    cluster: ClusterOption = None,
 ) -> None:
     """Render frames with their background images, masks and a manifest.
 
@@ -84,11 +82,8 @@ def import_(
         bool, typer.Option("--skip", help="Skip files that have no partner or cannot be read; else they are an error.")
     ] = False,
     show: Sheet = None,
-    jobs: Jobs = 0,
-    cluster: Annotated[
-        str | None,
-        typer.Option(help="Dask scheduler to use instead of this machine, with access to the same files."),
-    ] = None,
+    jobs: JobsOption = 0,
+    cluster: ClusterOption = None,
 ) -> None:
     """Convert a folder of images and masks to a data set.
 
@@ -139,7 +134,7 @@ def record(
     every_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="Seconds between frames.")] = 0.2,
     background: Annotated[Path | None, typer.Option(help=f"{BACKGROUND_HELP} Default: the stored one.")] = None,
     show: Sheet = None,
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon. Default: searched.")] = None,
+    socket: SocketOption = None,
 ) -> None:
     """Record frames with proposed masks: the difference to the background image. Correct them before training.
 

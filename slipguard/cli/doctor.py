@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from slipguard.cli.interrupt import default_interrupts
-from slipguard.cli.run import USUAL_FILE, ConfigOption
+from slipguard.cli.options import USUAL_FILE, ConfigOption, JsonOption, SocketOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -21,8 +21,8 @@ MARKS = {"ok": "[green]✓[/]", "note": "[yellow]![/]", "problem": "[red]✗[/]"
 
 def doctor(
     config: ConfigOption = USUAL_FILE,
-    socket: Annotated[Path | None, typer.Option(help="Socket of a running daemon; default: found.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="One JSON object.")] = False,
+    socket: SocketOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Check every device, link and permission, and say what to do. Nothing moves.
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipguard.cli.options import ClusterOption, JobsOption, JsonOption
 from slipguard.cli.terminal import count_bar
 from slipguard.errors import InputError
 
@@ -20,9 +21,6 @@ app = typer.Typer(
     "external camera.\n\n"
     "Example: `slipguard evaluate run --sim --out eval/`, `slipguard evaluate report eval/`"
 )
-Jobs = Annotated[int, typer.Option(min=0, help="Processes; 0: one per core.")]
-Cluster = Annotated[str | None, typer.Option(help="Dask scheduler to use instead of this machine: tcp://HOST:8786.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 @app.command()
@@ -46,7 +44,7 @@ def markers(
 def calibrate_camera(
     source: Annotated[Path, typer.Argument(help="Video, or folder of images, of the printed ChArUco board.")],
     out: Annotated[Path, typer.Option(help="File to write the intrinsics to (JSON).")],
-    json: Json = False,
+    json: JsonOption = False,
 ) -> None:
     """Calibrate a camera from images of the printed board at different tilts and positions.
 
@@ -126,9 +124,9 @@ def run(
         ),
     ] = None,
     intrinsics: Annotated[Path | None, typer.Option(help="Intrinsics of that camera, from `calibrate-camera`.")] = None,
-    jobs: Jobs = 0,
-    cluster: Cluster = None,
-    json: Json = False,
+    jobs: JobsOption = 0,
+    cluster: ClusterOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Perform the experiment, one recording per lift, and write the report. On a real cell, you place each object.
 
@@ -156,9 +154,9 @@ def run(
 @app.command()
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of an experiment.")],
-    jobs: Jobs = 0,
-    cluster: Cluster = None,
-    json: Json = False,
+    jobs: JobsOption = 0,
+    cluster: ClusterOption = None,
+    json: JsonOption = False,
 ) -> None:
     """Write the report of an experiment again: report.html, report.json and plots.
 

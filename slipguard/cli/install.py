@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from slipguard.cli.options import JsonOption
+
 if TYPE_CHECKING:
     from slipguard.installation import InstallStep
 
@@ -41,7 +43,7 @@ def install(
     ] = None,
     root: Annotated[Path, typer.Option(help="Install below this folder, such as a disk image; runs nothing.")] = ROOT,
     uninstall: Annotated[bool, typer.Option("--uninstall", help="Remove unit and rules.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Install the systemd unit, the udev rules and a configuration. Safe to repeat.
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slipguard.cli.interrupt import default_interrupts
+from slipguard.cli.options import JsonOption
 from slipguard.cli.terminal import progress_bar
 from slipguard.thread_priority import set_realtime_priority
 
@@ -24,7 +25,7 @@ def latency(
     as_service: Annotated[
         bool, typer.Option("--as-service", help="Use the real-time priority of the service; needs root.")
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Measure the latency from a frame's time stamp to the last byte of the command on the serial line, by stage.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slipguard.cli.options import JsonOption
 from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def replay(
     kinds: Annotated[
         list[ExportFormat] | None, typer.Option("--as", help="With --export: csv, png or mp4; may be repeated.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Process recordings again: the frames by the perception, the recorded estimates by the controller.
 

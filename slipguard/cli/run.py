@@ -13,13 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipguard.cli.interrupt import default_interrupts
+from slipguard.cli.options import USUAL_FILE, ConfigOption, JsonOption
 
 if TYPE_CHECKING:
     from slipguard.config import Config
     from slipguard.daemon.run import ServeApi
-
-USUAL_FILE = Path("config.toml")
-ConfigOption = Annotated[Path, typer.Option("--config", "-c", help="The configuration file.")]
 
 
 def run(
@@ -186,7 +184,7 @@ def _devices(config: Config) -> dict[str, Any]:
 
 
 def version(
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
 ) -> None:
     """Show the versions of slipguard, Python, libraries and drivers.
 

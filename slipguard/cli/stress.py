@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from slipguard.cli.options import JsonOption
 from slipguard.cli.terminal import make_folder, progress_bar
 
 
@@ -15,7 +16,7 @@ def stress(
     seconds: Annotated[float, typer.Option(min=0.001, help="Duration.")] = 60.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers; trial k uses this plus k.")] = 0,
     only: Annotated[list[str] | None, typer.Option(help="Run only this family of trials; may be repeated.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    json: JsonOption = False,
     out: Annotated[Path | None, typer.Option(help="Folder for a plot and stress.json.")] = None,
 ) -> None:
     """Test the estimators with hard inputs: degenerate masks, noise, nearly round contacts, NaN, odd clocks.
