@@ -83,7 +83,7 @@ def replay(
 
 
 def _as_json(done: ReplayResult) -> dict[str, Any]:
-    rotations = [abs(rotation) for rotation in done.turn_differences_deg]
+    rotations = [abs(rotation) for rotation in done.rotation_differences_deg]
     return {
         "ticks": done.on_recorded.ticks,
         "commands_differ": len(done.on_recorded.differences),
@@ -134,7 +134,7 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
         str(len(done.on_recorded.differences)),
         "",
     )
-    rotations = [abs(rotation) for rotation in done.turn_differences_deg]
+    rotations = [abs(rotation) for rotation in done.rotation_differences_deg]
     rotations_text = f"{done.estimates_differ} of {len(done.processed)} frames" + (
         f", by at most {max(rotations):.3f}°" if rotations else ""
     )

@@ -221,15 +221,7 @@ def _estimators(data: LiftData, began_s: float) -> dict[str, list[EstimatedRotat
     settings = recorded_settings(data.recording)
     segmenter = Segmenter()
     for finger, frames in data.fingers.items():
-        pipeline = Pipeline(
-            segmenter,
-            settings.perception,
-            settings.background(finger),
-            settings.noise_bgr(finger),
-            settings.px_per_mm[finger],
-            settings.mounting_deg[finger],
-        )
-        recorder = PatchRecorder(finger, pipeline, patches)
+        recorder = PatchRecorder(finger, settings.new_pipeline(finger, segmenter), patches)
         for one in frames:
             if one.record.new_reference:
                 recorder.reset_reference()

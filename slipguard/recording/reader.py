@@ -136,10 +136,10 @@ def _records(file: Any) -> Iterator[Any]:
 
 
 _TOPICS: dict[str, m.Json[Any]] = {
-    m.TICK_TOPIC: m.CYCLE_RECORD,
+    m.CYCLE_TOPIC: m.CYCLE_RECORD,
     m.MEMORY_TOPIC: m.MEMORY,
     m.TRUTH_TOPIC: m.TRUTH_RECORD,
-    **dict.fromkeys(m.JUDGED_TOPIC.values(), m.FRAME_RECORD),
+    **dict.fromkeys(m.FRAME_TOPIC.values(), m.FRAME_RECORD),
 }
 _SOURCE_OF = {
     topic: source for topics in (m.IMAGE_TOPIC, m.MASK_TOPIC, m.TRUE_MASK_TOPIC) for source, topic in topics.items()

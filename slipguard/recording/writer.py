@@ -112,10 +112,10 @@ class RecordingFile:
         self._json(m.TRUTH_TOPIC, m.TRUTH_RECORD, truth, truth.now_s)
 
     def frame(self, finger: str, at_s: float, record: m.FrameRecord) -> None:
-        self._json(m.JUDGED_TOPIC[finger], m.FRAME_RECORD, record, at_s)
+        self._json(m.FRAME_TOPIC[finger], m.FRAME_RECORD, record, at_s)
 
     def cycle(self, record: m.CycleRecord) -> None:
-        self._json(m.TICK_TOPIC, m.CYCLE_RECORD, record, record.now_s)
+        self._json(m.CYCLE_TOPIC, m.CYCLE_RECORD, record, record.now_s)
 
     def log(self, at_s: float, level: Level, text: str) -> None:
         at_ns = self._clock.ns(at_s)

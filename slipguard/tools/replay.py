@@ -73,7 +73,6 @@ class ReplayResult:
     phases: list[tuple[float, str]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
-    other_model: bool = False
     image: str = "none"
 
     @property
@@ -87,7 +86,7 @@ class ReplayResult:
         return sum(_plain(one.recorded.estimate) != _plain(one.replayed) for one in self.processed)
 
     @property
-    def turn_differences_deg(self) -> list[float]:
+    def rotation_differences_deg(self) -> list[float]:
         """Differences of the rotation, new minus recorded, where neither estimate was declined."""
         both = ((_rotation(one.recorded.estimate), _rotation(one.replayed)) for one in self.processed)
         return [now - then for then, now in both if then is not None and now is not None]
@@ -110,7 +109,7 @@ def replay(opened: list[Recording], model: Path | None = None) -> ReplayResult:
     Raises ModelError if the model cannot be loaded, even if no frame needs it.
     """
     segmenter = Segmenter(model)
-    done = ReplayResult(other_model=model is not None)
+    done = ReplayResult()
     for recording in opened:
         done.image = "none"
         _RecordingPlayer(recording, segmenter, done).play()
@@ -120,7 +119,11 @@ def replay(opened: list[Recording], model: Path | None = None) -> ReplayResult:
 
 
 class _RecordingPlayer:
-    """Plays one file into a `Replay`."""
+    """Plays one file into a `ReplayResult`.
+
+    A finger is live while its pipeline has received every frame since its reference. renewed: its pipeline was built
+    again with a background image that is in the next file only.
+    """
 
     def __init__(self, recording: Recording, segmenter: Segmenter, done: ReplayResult) -> None:
         self._recording, self._done = recording, done
@@ -138,47 +141,47 @@ class _RecordingPlayer:
         for item in self._recording.items():
             value = item.value
             if isinstance(value, ControlState):
-                self._memory = {"recorded": value, "frames": value}
+                self._states = {"recorded": value, "frames": value}
             elif isinstance(value, m.FrameRecord):
-                self._judged(_finger(item), value)
+                self._play_frame(_finger(item), value)
             elif isinstance(value, m.CycleRecord):
-                self._tick(value)
+                self._play_cycle(value)
             elif (
                 isinstance(value, StoredImage) and item.topic == m.IMAGE_TOPIC[value.source] and value.source in FINGERS
             ):
                 self._images[value.source] = value
                 self._done.image = value.format
 
-    def _judged(self, finger: str, judged: m.FrameRecord) -> None:
+    def _play_frame(self, finger: str, record: m.FrameRecord) -> None:
         image = self._images.pop(finger, None)
-        if judged.new_pipeline:  # its background image is in the next file
+        if record.new_pipeline:  # its background image is in the next file
             self._live[finger], self._renewed[finger] = False, True
-        if judged.new_reference:
+        if record.new_reference:
             self._live[finger] = image is not None and not self._renewed[finger]
             if self._live[finger]:
                 self._pipeline(finger).reset_reference()
-        no_contact = judged.estimate is not None and not judged.estimate.contact
+        no_contact = record.estimate is not None and not record.estimate.contact
         if image is None and not no_contact:
             self._live[finger] = False  # the image of a frame with contact is missing
-        now = None
+        replayed = None
         if self._live[finger] and image is not None:
-            now = self._process(finger, image, judged)
-        self._done.frames.append(ReplayedEstimate(finger, judged, now))
-        estimate = now or judged.estimate
+            replayed = self._process(finger, image, record)
+        self._done.frames.append(ReplayedEstimate(finger, record, replayed))
+        estimate = replayed or record.estimate
         if estimate is not None:
-            known = self._now[finger]
-            known[judged.sequence] = estimate
+            known = self._estimates[finger]
+            known[record.sequence] = estimate
             while len(known) > KEPT_ESTIMATES:
                 del known[next(iter(known))]
 
-    def _process(self, finger: str, image: StoredImage, judged: m.FrameRecord) -> Estimate | None:
-        skipped = judged.estimate is not None and judged.estimate.skipped == OTHER_FINGER
-        last = next(reversed(self._now[finger].values()), None)
+    def _process(self, finger: str, image: StoredImage, record: m.FrameRecord) -> Estimate | None:
+        skipped = record.estimate is not None and record.estimate.skipped == OTHER_FINGER
+        last = next(reversed(self._estimates[finger].values()), None)
         if skipped and last is not None:
-            self._pipeline(finger).keep_estimate(judged.captured_at_s)
-            return repeat_estimate(last, judged.captured_at_s, judged.sequence)
+            self._pipeline(finger).keep_estimate(record.captured_at_s)
+            return repeat_estimate(last, record.captured_at_s, record.sequence)
         try:
-            frame = Frame(image.pixels(), judged.captured_at_s, judged.sequence)
+            frame = Frame(image.pixels(), record.captured_at_s, record.sequence)
             return self._pipeline(finger).process(frame)
         except FrameCorrupt:
             return None
@@ -186,39 +189,31 @@ class _RecordingPlayer:
     def _pipeline(self, finger: str) -> Pipeline:
         """Return the finger's pipeline, created on first use."""
         if finger not in self._pipelines:
-            settings = self._settings
-            self._pipelines[finger] = Pipeline(
-                self._segmenter,
-                settings.perception,
-                settings.background(finger),
-                settings.noise_bgr(finger),
-                settings.px_per_mm[finger],
-                settings.mounting_deg[finger],
-            )
+            self._pipelines[finger] = self._settings.new_pipeline(finger, self._segmenter)
         return self._pipelines[finger]
 
-    def _tick(self, cycle: m.CycleRecord) -> None:
+    def _play_cycle(self, cycle: m.CycleRecord) -> None:
         done = self._done
         if not done.phases or done.phases[-1][1] != cycle.phase:
             done.phases.append((cycle.now_s, cycle.phase))
         fault = cycle.output.fault
         if fault is not None and str(fault) not in done.faults:
             done.faults.append(str(fault))
-        if not self._memory:
+        if not self._states:
             raise InputError(
                 f"{self._recording.path}: a control step precedes the controller's state. The recording is incomplete"
             )
-        self._memory["recorded"] = self._compare(done.on_recorded, self._memory["recorded"], cycle)
+        self._states["recorded"] = self._compare(done.on_recorded, self._states["recorded"], cycle)
         fresh = {
             finger: self._estimates[finger].get(sequence) if sequence is not None else None
             for finger, sequence in zip(FINGERS, (cycle.left_sequence, cycle.right_sequence), strict=True)
         }
         if not any(self._live.values()):
-            self._memory["frames"] = self._memory["recorded"]
+            self._states["frames"] = self._states["recorded"]
             return
         observation = replace(cycle.observation, fused=fuse(fresh["left"], fresh["right"]))
-        self._memory["frames"] = self._compare(
-            done.on_frames, self._memory["frames"], replace(cycle, observation=observation)
+        self._states["frames"] = self._compare(
+            done.on_frames, self._states["frames"], replace(cycle, observation=observation)
         )
 
     def _compare(self, into: ControllerReplay, memory: ControlState, cycle: m.CycleRecord) -> ControlState:
@@ -251,6 +246,17 @@ class RecordedSettings:
     px_per_mm: dict[str, float]
     mounting_deg: dict[str, int]
     recording: Recording
+
+    def new_pipeline(self, finger: str, segmenter: Segmenter) -> Pipeline:
+        """Return a pipeline as the finger had one when it was recorded."""
+        return Pipeline(
+            segmenter,
+            self.perception,
+            self.background(finger),
+            self.noise_bgr(finger),
+            self.px_per_mm[finger],
+            self.mounting_deg[finger],
+        )
 
     def background(self, finger: str) -> np.ndarray | None:
         """Return the finger's background image, (320, 240, 3) uint8; None if it is not stored."""

@@ -83,12 +83,12 @@ def _write_tables(items: Iterable[RecordedItem], folder: Path) -> list[Path]:
     return paths
 
 
-def _estimate_row(item: RecordedItem, judged: m.FrameRecord) -> list[Any]:
+def _estimate_row(item: RecordedItem, record: m.FrameRecord) -> list[Any]:
     finger = item.topic.split("/")[1]
-    head = [finger, item.at_ns, judged.sequence, judged.captured_at_s]
-    e = judged.estimate
+    head = [finger, item.at_ns, record.sequence, record.captured_at_s]
+    e = record.estimate
     if e is None:
-        return [*head, *[None] * 11, judged.refused]
+        return [*head, *[None] * 11, record.refused]
     right_mm, up_mm = e.shift_mm if e.shift_mm is not None else (None, None)
     values = [
         e.measured_at_s,
@@ -153,7 +153,7 @@ def _write_video(items: Iterable[RecordedItem], finger: str, video: cv2.VideoWri
                 image, mask = value.pixels(), None
             else:
                 mask = value.pixels()
-        elif isinstance(value, m.FrameRecord) and item.topic == m.JUDGED_TOPIC[finger]:
+        elif isinstance(value, m.FrameRecord) and item.topic == m.FRAME_TOPIC[finger]:
             estimate = value.estimate
         elif isinstance(value, m.CycleRecord) and value.observation.gripper is not None:
             force_n = value.observation.gripper.force_n

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
+from recorded_cycles import CLOCK, HEADER, FullDisk, gel_image, judged_at, tick_at, written
 
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import HaltJaws, HoldForce, LiftArm, MoveJaws, Observation, ReleaseJaws, StepOutput
@@ -49,7 +49,7 @@ def recorder(folder: Path, **settings: object) -> Recorder:
 def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None:
     one.start()
     for now_s in times:
-        one.add(RecordedFrame("left", float(now_s), judged_at(float(now_s)), picture(), picture()[..., 0] // 128))
+        one.add(RecordedFrame("left", float(now_s), judged_at(float(now_s)), gel_image(), gel_image()[..., 0] // 128))
         one.add(
             RecordedCycle(
                 tick_at(float(now_s)), ControlState(), keep=keep_at is not None and bool(np.isclose(now_s, keep_at))
@@ -297,7 +297,7 @@ def test_a_full_disk_stops_the_recording_with_one_message(tmp_path: Path) -> Non
 def test_adding_values_never_waits_and_leaves_out_images_first(tmp_path: Path) -> None:
     one = recorder(tmp_path)
     for number in range(2500):  # not started: no thread takes anything
-        one.add(RecordedFrame("left", number / 60, judged_at(number / 60), picture() if number < 600 else None))
+        one.add(RecordedFrame("left", number / 60, judged_at(number / 60), gel_image() if number < 600 else None))
     assert one.left_out == 600 - 500 + 2500 - 2000
     one.start()
     one.add(RecordedMessage(1.0, "a line"))
@@ -308,7 +308,7 @@ def test_png_keeps_every_pixel(tmp_path: Path) -> None:
     one = recorder(tmp_path, image="png")
     one.start()
     one.add(RecordedCycle(tick_at(0.0), ControlState()))
-    one.add(RecordedFrame("right", 0.0, judged_at(0.0), picture(5)))
+    one.add(RecordedFrame("right", 0.0, judged_at(0.0), gel_image(5)))
     one.stop(20.0)
     (path,) = (tmp_path / "ring").iterdir()
     pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, StoredImage)]

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 import numpy as np
 import pytest
-from recorded_cycles import CLOCK, HEADER, FullDisk, judged_at, picture, tick_at, written
+from recorded_cycles import CLOCK, HEADER, FullDisk, gel_image, judged_at, tick_at, written
 
 from slipguard.control.control_step import ControlState
 from slipguard.recording import messages as m
@@ -61,7 +61,7 @@ class Playing:
 
     def play(self, from_s: float, to_s: float, keep_at: float | None = None) -> None:
         for now_s in np.arange(from_s, to_s, 0.1).tolist():
-            self.recorder.add(RecordedFrame("left", now_s, judged_at(now_s), PICTURES[round(10 * now_s) % 8]))
+            self.recorder.add(RecordedFrame("left", now_s, judged_at(now_s), GEL_IMAGES[round(10 * now_s) % 8]))
             keep = keep_at is not None and bool(np.isclose(now_s, keep_at))
             self.recorder.add(RecordedCycle(tick_at(now_s), ControlState(), keep=keep))
             for _ in range(2):
