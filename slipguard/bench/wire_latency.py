@@ -160,13 +160,9 @@ async def measure(options: LatencyOptions, on_progress: Callable[[str, float], N
             await cell.start()
             probe = ProbingController(0)
             service = build_service(config_without_skipping(cell.config), controller=probe)
-            running = asyncio.create_task(service.run(), name="service")
-            try:
+            async with running_service(service) as running:
                 sent = await _probe(service, probe, options.commands, running, on_progress)
                 frames = sum(finger.capture.counts.frames for finger in service.fingers.values())
-            finally:
-                running.cancel()
-                await asyncio.gather(running, return_exceptions=True)
             log = await cell.order("gripper log 10000")
         finally:
             await cell.stop()

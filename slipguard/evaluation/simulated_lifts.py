@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slipguard.config import parse_config
+from slipguard.config import sim_config
 from slipguard.control.state import Phase
 from slipguard.daemon import log_setup as log
 from slipguard.daemon.api.handlers import RequestHandlers
@@ -41,7 +41,7 @@ from slipguard.sim.scenario import scenario
 from slipguard.sim.sensor_unit import random_unit
 from slipguard.sim.world import World
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN
-from slipguard.tools.waiting import wait_until
+from slipguard.tools.waiting import running_service, wait_until
 
 CAMERA_FPS = 30.0
 CAMERA_LAG_S = (0.02, 0.09)
@@ -112,12 +112,11 @@ async def _record(task: SimulatedLift) -> None:
     with tempfile.TemporaryDirectory(prefix="slipguard-evaluate-") as folder:
         guard = {"lift_speed_mm_s": protocol.lift_speed_mm_s, "tuning": {"lower_speed_mm_s": 150.0}}
         service = build_service(
-            parse_config(raw, where="the simulated experiment", sim=True),
+            sim_config("inline", guard=guard, state={"directory": folder}),
             world=world,
             make_worker=lambda name: FixedLatencyWorker(STATED_LATENCY_S),
         )
-        running = asyncio.create_task(service.run())
-        try:
+        async with running_service(service) as running:
             await wait_until(running, lambda: not service.waiting_for, TIMEOUT_S, "the devices are not ready")
             handlers = RequestHandlers(service)
             await handlers.submit(CalibrateRequest())
@@ -125,9 +124,6 @@ async def _record(task: SimulatedLift) -> None:
             needed_n = world.truth(asyncio.get_running_loop().time()).needed_force_n
             grip_n = lift.item.grip_force_n or protocol.grip_force_n or max(GRIP_SHARE * needed_n, GRIP_MIN_N)
             await _lift(task, service, handlers, world, running, round(grip_n, 1), height_mm)
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
 
 
 async def _lift(

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from slipguard.config import Config, parse_config
+from slipguard.config import Config, sim_config
 from slipguard.control.control_step import ControlState, control_step, step
 from slipguard.control.messages import Observation, StepOutput
 from slipguard.control.params import GuardParams
@@ -108,12 +108,8 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress]
             controller=controller,
             wrap_pipeline=lambda finger, pipeline: PatchRecorder(finger, pipeline, patches),
         )
-        running = asyncio.create_task(service.run(), name="service")
-        try:
+        async with running_service(service) as running:
             records = await _lifts(settings, service, world, running, show)
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
         for record in records:
             if record.reference_s is not None:
                 record.other_estimators = rotations_by_estimator(patches, record.reference_s, record.ended_at_s)

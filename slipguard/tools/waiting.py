@@ -1,10 +1,12 @@
-"""Waiting for a state of a running service."""
+"""Run a service for a while, and wait for its states."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 
+from slipguard.daemon.loop.service import Service
 from slipguard.errors import SlipguardError
 
 POLL_S = 0.01
@@ -12,6 +14,17 @@ POLL_S = 0.01
 
 class WaitTimeout(SlipguardError):
     """An expected state was not reached in time."""
+
+
+@asynccontextmanager
+async def running_service(service: Service) -> AsyncIterator[asyncio.Task[None]]:
+    """Run a service during the block; yields its task."""
+    running = asyncio.create_task(service.run(), name="service")
+    try:
+        yield running
+    finally:
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
 
 
 async def wait_until(
