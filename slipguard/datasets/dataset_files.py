@@ -15,7 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import read_bgr
 from slipguard.datasets.samples import UNIT_FRAMES, RenderedSample, render_sample
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
@@ -30,7 +29,6 @@ IMAGES, BACKGROUNDS, MASKS = "images", "backgrounds", "masks"
 MANIFEST_NAME = "manifest.jsonl"
 IMPORTED_LABEL = "imported"
 """What the masks of an imported data set mean: only their author knows."""
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp"})
 
 
 def check_new(out_dir: Path) -> None:
@@ -141,10 +139,10 @@ def read_backgrounds(folder: Path) -> list[Image]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: not a folder; name one with background images")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_ENDINGS)
     if not paths:
         raise InputError(
-            f"{folder}: no image ({', '.join(sorted(IMAGE_SUFFIXES))}); name a folder with background images"
+            f"{folder}: no image ({', '.join(sorted(IMAGE_ENDINGS))}); name a folder with background images"
         )
     return [read_background(path) for path in paths]
 

@@ -12,18 +12,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import read_bgr
 from slipguard.errors import InputError
 from slipguard.evaluation.camera_calibration import Intrinsics
 from slipguard.evaluation.lift_recording import read_lift
 from slipguard.evaluation.markers import MarkerCorners, MarkerDetector
 from slipguard.recording.ring import SUFFIX
-from slipguard.tools.image_files import read_video
+from slipguard.tools.image_files import IMAGE_ENDINGS, STILL_IMAGES_FPS, read_bgr, read_video
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm")
-IMAGE_FPS = 30.0
-"""Assumed rate of the images of a folder, which have no time stamps."""
 TimedFrame = tuple[float, NDArray[np.uint8]]
 
 
@@ -73,15 +68,15 @@ class ExternalCamera:
 def timed_frames(path: Path) -> Iterator[TimedFrame]:
     """Yield time in seconds and image (h, w, 3) uint8 BGR, in order. Raises InputError."""
     if path.is_dir():
-        files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGES)
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in IMAGE_ENDINGS)
         if not files:
             raise InputError(f"{path}: no images in this folder")
         for number, file in enumerate(files):
-            yield number / IMAGE_FPS, read_bgr(file)
+            yield number / STILL_IMAGES_FPS, read_bgr(file)
     elif path.suffix.lower() == SUFFIX:
         for one in read_lift(path).camera:
             yield one.time_s, one.image.pixels()
-    elif path.suffix.lower() in IMAGES:
+    elif path.suffix.lower() in IMAGE_ENDINGS:
         yield 0.0, read_bgr(path)
     else:
         yield from read_video(path)

@@ -12,12 +12,11 @@ from slipguard.datasets.mask_scores import dice, iou
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
 from slipguard.evaluation.clock_alignment import LAG_MAX_S, ClockLag, between_frames, find_lag
-from slipguard.evaluation.external_camera import VIDEOS, markers_in
+from slipguard.evaluation.external_camera import markers_in
 from slipguard.evaluation.lift_recording import LiftData, TimedImage
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
 from slipguard.evaluation.markers import MarkerDetector
 from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.perception.pipeline import Pipeline
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
 from slipguard.sim_lifts.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
 from slipguard.tools.image_files import VIDEO_ENDINGS
@@ -165,7 +164,7 @@ def _marker_rotations(data: LiftData, began_s: float) -> RotationTrace:
         data.intrinsics.check_size(first.shape[1], first.shape[0], "the camera's image")
         corners = [detector.detect(one.image.pixels(), one.time_s) for one in images]
     else:
-        videos = [data.path.with_suffix(ending) for ending in VIDEOS if data.path.with_suffix(ending).exists()]
+        videos = [path for ending in sorted(VIDEO_ENDINGS) if (path := data.path.with_suffix(ending)).exists()]
         if not videos:
             raise InputError(f"no external camera in the recording, and no video {data.path.stem}.mp4 next to it")
         # A video has its own clock: start it where the lift begins; the lag is found afterwards.

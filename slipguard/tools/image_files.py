@@ -108,6 +108,18 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels, np.uint8)
 
 
+def read_bgr(path: Path) -> NDArray[np.uint8]:
+    """Return any image, such as a mask, as (H, W, 3) uint8 BGR, without `read_image`'s checks. Raises InputError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+    image = cv2.imdecode(np.frombuffer(data or b"\0", np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(f"{path}: not a readable image; remove or replace it")
+    return np.asarray(image, np.uint8)
+
+
 def _checked_frame(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: float) -> FileFrame:
     height, width = image.shape[:2]
     _check_size(width, height, what)

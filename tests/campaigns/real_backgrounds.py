@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import read_bgr
+from slipguard.tools.image_files import read_bgr
 from tests.campaigns.real_frames import RealFrame
 
 NOISE_BGR = (2.9, 1.5, 2.4)

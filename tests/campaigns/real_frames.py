@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import read_bgr
 from slipguard.errors import InputError
+from slipguard.tools.image_files import read_bgr
 
 TUNING_SPHERES = frozenset(f"{n:02d}.png" for n in range(15))
 TUNING_INDENTER_LAST = "f0132"

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.dataset_files import data_set_pairs
 from slipguard.datasets.frame_cache import VALIDATION_SEED
-from slipguard.datasets.mask_scores import read_bgr
 from slipguard.datasets.samples import UNIT_FRAMES, press_of
 from slipguard.errors import InputError
 from slipguard.sim.contact_label import LABEL_NAME, label
+from slipguard.tools.image_files import read_bgr
 from slipguard.tools.parallel import Workers, each
 
 Image = NDArray[np.uint8]

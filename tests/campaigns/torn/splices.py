@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.mask_scores import read_bgr
 from slipguard.perception.quality.torn_frame import find_tear
 from slipguard.sim import shapes
 from slipguard.sim.camera_noise import CameraNoise
@@ -19,6 +18,7 @@ from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR, SensorUnit, random_unit
+from slipguard.tools.image_files import read_bgr
 
 Image = NDArray[np.uint8]
 ALONG = ("column", "row")
