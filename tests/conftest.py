@@ -1,4 +1,4 @@
-"""Shared by all suites: options, order of the run, and a test that leaves a task running fails."""
+"""Common to all suites: options, the order of the tests, and a failure if a test leaves a task running."""
 
 from __future__ import annotations
 

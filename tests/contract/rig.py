@@ -1,4 +1,4 @@
-"""What all rigs of the contract suites have in common: which of them a test can use, and drivers of other packages."""
+"""Common to all rigs of the contract suites: which of them a test can use, and drivers of other packages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""No-contact images: when they may be taken, what is wrong with those refused, and that the new ones are used."""
+"""Background images: when they may be taken, why some are refused, and that new ones are used."""
 
 from __future__ import annotations
 

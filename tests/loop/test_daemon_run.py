@@ -1,4 +1,4 @@
-"""The daemon as a process of its own: what holds for all of it while it runs, and is undone at its end."""
+"""The daemon's process: its settings while it runs are restored at its end."""
 
 from __future__ import annotations
 

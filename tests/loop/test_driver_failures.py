@@ -1,4 +1,4 @@
-"""An exception that a driver or a pipeline does not foresee ends neither the guard nor the daemon, and is named."""
+"""An unexpected exception in a driver or a pipeline ends neither the guard nor the daemon, and is reported."""
 
 from __future__ import annotations
 

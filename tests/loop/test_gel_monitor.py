@@ -1,4 +1,4 @@
-"""What the daemon says of a gel that nothing touches: drift and wear once, with figures; of a touch nothing."""
+"""What the daemon reports about a gel that nothing touches: drift and wear, once, with figures; nothing in contact."""
 
 from __future__ import annotations
 

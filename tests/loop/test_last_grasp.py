@@ -1,4 +1,4 @@
-"""The force of a grip survives the daemon: noted down as it changes, forgotten with the object."""
+"""The force of a grip is saved as it changes, restored after a restart of the daemon, and deleted with the object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Hours of holding in small: nothing is tightened for noise, nothing grows, and a busy machine skips and counts."""
+"""Hours of holding in short: noise tightens nothing, memory stays constant, a busy machine skips and counts cycles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A cell without an arm: the grip is guarded, lift and lower are refused with the reason, and every view says so."""
+"""A cell without an arm: the grip is guarded, lift and lower are refused with the reason, and every view shows it."""
 
 from __future__ import annotations
 

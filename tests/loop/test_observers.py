@@ -1,4 +1,4 @@
-"""An exception in an observer, such as recorder or metrics, is named and counted, and the guard goes on."""
+"""An exception in an observer, such as recorder or metrics, is reported and counted, and the guard goes on."""
 
 from __future__ import annotations
 

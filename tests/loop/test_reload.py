@@ -1,4 +1,4 @@
-"""A configuration reloaded: taken up whole where that is safe, refused whole and in words where it is not."""
+"""Reloading the configuration: applied as a whole where that is safe, otherwise refused as a whole with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Devices that are not there at the start, a shutdown at any moment, and a restart with an object in the fingers."""
+"""Devices that are missing at the start, a shutdown at any moment, and a restart with an object in the fingers."""
 
 from __future__ import annotations
 

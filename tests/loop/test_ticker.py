@@ -1,4 +1,4 @@
-"""Beat, slot, worker and clock: what the loop is made of, on virtual time."""
+"""The parts of the loop on virtual time: cycle, latest value, worker and clock."""
 
 from __future__ import annotations
 

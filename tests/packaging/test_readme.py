@@ -1,4 +1,4 @@
-"""The README files are true: commands parse, paths exist, and the fault table names every fault."""
+"""The README files are correct: commands parse, paths exist, and the fault table contains every fault."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The unit file: what the service relies on, and what systemd itself thinks of it where it is installed."""
+"""The unit file: what the service relies on, and what `systemd-analyze` reports where it is installed."""
 
 from __future__ import annotations
 

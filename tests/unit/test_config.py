@@ -1,4 +1,4 @@
-"""A wrong configuration is one line: the key, the value, what is allowed."""
+"""An invalid configuration is reported in one line: the key, the value, the allowed values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An emulated gripper, the driver that has it open, and one that holds something."""
+"""Fixtures: an emulated gripper, the driver that has it open, and one that holds something."""
 
 from __future__ import annotations
 

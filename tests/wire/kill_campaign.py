@@ -1,4 +1,4 @@
-"""The daemon of an emulated cell, killed at random moments of a lift and started again, over and over."""
+"""The daemon of an emulated cell, killed at random moments of a lift and started again, many times."""
 
 from __future__ import annotations
 

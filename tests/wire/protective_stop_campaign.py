@@ -1,4 +1,4 @@
-"""Protective stops of an emulated cell's robot at random moments of a lift, over and over."""
+"""Protective stops of an emulated cell's robot at random moments of a lift, many times."""
 
 from __future__ import annotations
 

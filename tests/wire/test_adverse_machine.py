@@ -1,4 +1,4 @@
-"""The daemon on a machine that fails around it: guarding goes on, or is latched with the true reason."""
+"""The daemon on a machine with failures: guarding goes on, or a fault with the true reason is latched."""
 
 from __future__ import annotations
 

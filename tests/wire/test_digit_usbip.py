@@ -1,4 +1,4 @@
-"""The emulated DIGIT as a USB host sees it: plugged in, asked, streamed from, cut off."""
+"""The emulated DIGIT as a USB host sees it: connected, enumerated, streaming, disconnected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The doctor next to an emulated cell, in the states that a user brings it: each line must say what to do next."""
+"""The doctor on an emulated cell in the states that users bring about: each line says what to do next."""
 
 from __future__ import annotations
 

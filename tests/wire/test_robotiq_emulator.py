@@ -1,4 +1,4 @@
-"""The emulated gripper itself: its habits, its pace, its truth."""
+"""The emulated gripper itself: its behavior, its timing, its true state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The real gripper driver on a bad line: late, torn, strange and missing answers, and ports that are none."""
+"""The real gripper driver on a bad line: late, torn, foreign and missing responses, and invalid ports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The daemon's log: JSON where a program reads, one line a second of each kind, and never in the guard's way."""
+"""The daemon's log: JSON for programs, one line per second of each kind, and it never delays the guard."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which daemon's socket the commands ask that open the devices themselves where none runs."""
+"""Commands that open the devices themselves find the socket of a running daemon."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state directory: whole files or none, older images kept, damage named."""
+"""The state directory: files are complete or absent, older images are kept, damage is reported."""
 
 from __future__ import annotations
 

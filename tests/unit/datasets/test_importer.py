@@ -1,4 +1,4 @@
-"""Folders of images and masks as people have them become data sets, or are refused in one line."""
+"""Folders of images and masks become data sets, or are refused in one line."""
 
 from __future__ import annotations
 

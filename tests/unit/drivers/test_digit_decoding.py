@@ -1,4 +1,4 @@
-"""A DIGIT's image is rotated upright; a JPEG that is not whole is never taken for an image."""
+"""A DIGIT's image is rotated upright; an incomplete JPEG is never decoded to an image."""
 
 from __future__ import annotations
 

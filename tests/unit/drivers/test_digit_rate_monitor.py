@@ -1,4 +1,4 @@
-"""Too few frames are expected in words: those the camera did not make, and those this machine did not take."""
+"""Missing frames are reported: those that the camera did not deliver, and those that this machine did not read."""
 
 from __future__ import annotations
 

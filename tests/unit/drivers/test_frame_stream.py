@@ -1,4 +1,4 @@
-"""The last step before a frame is handed out: newest wins, repetition and damage are reported, nothing comes twice."""
+"""The stream of frames: the newest frame is returned, once; repetition and damage are reported."""
 
 from __future__ import annotations
 

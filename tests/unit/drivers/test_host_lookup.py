@@ -1,4 +1,4 @@
-"""Looking up a host name never takes a thread that others need, and the last known address serves meanwhile."""
+"""Looking up a host name never blocks a shared thread; meanwhile the last known address is used."""
 
 from __future__ import annotations
 

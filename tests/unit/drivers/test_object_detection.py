@@ -1,4 +1,4 @@
-"""What successive statuses of a 2F say together, with a gOBJ that lags and that means nothing while gGTO is 0."""
+"""The meaning of successive statuses of a 2F: gOBJ lags, and has no meaning while gGTO is 0."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The process that draws: it never outlives its sensor or its parent, and a Ctrl-C is not for it."""
+"""The rendering process never outlives its sensor or its parent, and ignores Ctrl-C."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""RTDE's handshake, byte by byte: what the driver sends, and what the emulator answers, each against the protocol."""
+"""RTDE's handshake, byte by byte: what the driver sends and what the emulator answers, compared with the protocol."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults on demand, and the words for them that all emulators share."""
+"""Faults on demand, with the same names in all emulators."""
 
 from __future__ import annotations
 

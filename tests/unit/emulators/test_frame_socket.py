@@ -1,4 +1,4 @@
-"""The frame format over a socket: what a reader does with garbage, and how little it believes."""
+"""The frame format over a socket: the reader recognizes garbage and checks every field."""
 
 from __future__ import annotations
 

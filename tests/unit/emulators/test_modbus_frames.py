@@ -1,4 +1,4 @@
-"""The manual's own example session, byte for byte: the emulated gripper's side, and what we read from it."""
+"""The manual's example session, byte for byte: the emulated gripper's side, and what our driver reads from it."""
 
 from __future__ import annotations
 

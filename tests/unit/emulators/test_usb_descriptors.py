@@ -1,4 +1,4 @@
-"""The emulated DIGIT's descriptors, byte by byte as USB 2.0 (chapter 9) and the Video Class 1.0 want them."""
+"""The emulated DIGIT's descriptors, byte by byte, compared with USB 2.0 (chapter 9) and the Video Class 1.0."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings: exact, readable up to where they were cut, within their limits, and never in the way of the guard."""
+"""Recordings are exact, readable up to where they were cut, and within their limits; they never delay the guard."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings leave the disk the room the guard needs, and lose nothing worth keeping when it runs out."""
+"""Recordings leave free the disk space that the guard needs, and lose no kept file when it runs out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lift profiles: exact times and heights, no jumps, stops that take their way."""
+"""Lift profiles: exact times and heights, no jumps, and stops with a braking distance."""
 
 from __future__ import annotations
 

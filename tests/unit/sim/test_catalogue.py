@@ -1,4 +1,4 @@
-"""The catalogue: what every object promises, and that the test set is the published one."""
+"""The catalogue: properties of every object, and that the test set is the published one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The label outlines what is visibly pressed: more than the contact, less than all that moves, without gaps."""
+"""The label outlines what is visibly pressed: larger than the contact, smaller than the moving area, without gaps."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Sensors on the fingers: the jaws meet earlier, gel on gel, and that looks like a held object."""
+"""Sensors on the fingers: the jaws meet earlier, and gel on gel looks like a held object."""
 
 from __future__ import annotations
 

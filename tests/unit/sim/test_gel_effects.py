@@ -1,4 +1,4 @@
-"""Tilt, twist, shear, memory and domes change the imprint as the mechanics says; without them nothing changes."""
+"""Tilt, twist, shear, memory and domes change the imprint as in mechanics; without them nothing changes."""
 
 from __future__ import annotations
 

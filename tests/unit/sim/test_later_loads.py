@@ -1,4 +1,4 @@
-"""Loads that arrive while an object is held, creeping pads, and a wrist that is turned about the grasp axis."""
+"""Loads that arrive while an object is held, creeping pads, and a wrist that rotates about the grasp axis."""
 
 from __future__ import annotations
 

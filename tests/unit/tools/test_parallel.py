@@ -1,4 +1,4 @@
-"""Many items at once give what a plain loop gives, on processes and on a cluster."""
+"""Items computed in parallel give the results of a plain loop, on processes and on a cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two daemons that start at the same time: one has the socket, the other says so."""
+"""Two daemons that start at the same time: one gets the socket, the other reports it."""
 
 from __future__ import annotations
 
