@@ -63,7 +63,7 @@ async def test_a_lift_from_calibration_to_release(running: DaemonProcess, open_p
     for finger in ("left", "right"):
         await expect(page.locator(f"#finger-{finger}")).to_contain_text("contactyes", ignore_case=True)
         drawn = page.locator(f"#finger-{finger} canvas")
-        assert await drawn.evaluate(COLOURS) > 1000, "a gel picture has noise, and many colours"
+        assert await drawn.evaluate(COLOURS) > 1000, "a gel image has noise, and many colors"
         before = await drawn.get_attribute("data-sequence")
         await expect(drawn).not_to_have_attribute("data-sequence", str(before))
     await release(running, page)

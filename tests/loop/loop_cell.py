@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from loop_doubles import FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle, Shelf
+from loop_doubles import ClosableWorker, FlatSensor, LoggedArm, LoggedGripper, Memory, Oracle
 
 from slipguard.config import Config, parse_config
 from slipguard.control.control_step import control_step
@@ -34,16 +34,16 @@ from slipguard.sim.world import World, WorldSettings
 class Cell:
     """One service on a world of its own (or on the one it is given, as after a restart).
 
-    guard, loop: sections of the configuration. blind: finger -> why it declines every cycle. threads: real workers
-    instead of a stated latency, for the real clock. watched: the grip is compared with the truth at every tick.
-    fingertip_mm: of the true sensors; configured_mm: what the gripper's driver takes it for, if that differs.
+    guard, loop: sections of the configuration. declined: by finger, why it declines every cycle. threads: real workers
+    instead of `latency_s`, for the real clock. watched: the grip is compared with the truth in every cycle.
+    fingertip_mm: of the true sensors; configured_mm: the configured value, if it differs.
     """
 
     object_name: str = "wrench"
     seed: int = 0
     guard: dict[str, object] = field(default_factory=dict)
     loop: dict[str, object] = field(default_factory=dict)
-    blind: dict[str, str] = field(default_factory=dict)
+    declined: dict[str, str] = field(default_factory=dict)
     controller: Controller = control_step
     latency_s: float = 0.006
     threads: bool = False
@@ -53,7 +53,7 @@ class Cell:
     calibrated: bool = True
     fingertip_mm: float = 0.0
     configured_mm: float | None = None
-    says: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     ticks: int = 0
     observer_errors: int = 0
@@ -74,20 +74,20 @@ class Cell:
             DriverContext("gripper", world), self.fingertip_mm if self.configured_mm is None else self.configured_mm
         )
         self.arm = LoggedArm(DriverContext("arm", world))
-        self.workers: dict[str, Shelf] = {}
+        self.workers: dict[str, ClosableWorker] = {}
         self.perceivers: dict[str, list[Oracle]] = {name: [] for name in FINGERS}
         self.store = Memory("SIM-L", "SIM-R") if self.calibrated else Memory()
 
         def make_worker(name: str) -> Worker:
             if self.threads:
                 return ThreadWorker(name)
-            self.workers[name] = Shelf(self.latency_s)
+            self.workers[name] = ClosableWorker(self.latency_s)
             return self.workers[name]
 
         def maker(name: str) -> Callable[[str], Oracle]:
             def make(serial: str) -> Oracle:
                 sign = 1.0 if name == "left" else -1.0
-                made = Oracle(self.sensors[name].pictures, sign, rng, self.blind.get(name))
+                made = Oracle(self.sensors[name].numbered_images, sign, rng, self.declined.get(name))
                 self.perceivers[name].append(made)
                 return made
 
@@ -113,7 +113,7 @@ class Cell:
     def _watch(self, decision: Decision) -> None:
         self.ticks += 1
         if decision.output.text is not None:
-            self.says.append(decision.output.text)
+            self.messages.append(decision.output.text)
         if not self.phases or decision.phase is not self.phases[-1]:
             self.phases.append(decision.phase)
         if self.watched:
@@ -126,8 +126,6 @@ class Cell:
         if truth.force_n < self.tightest_n - 0.01 or (truth.in_contact and width_mm > self.narrowest_mm + 0.01):
             self.loosened = self.loosened or f"{truth.force_n:.1f} N, {width_mm:.1f} mm at {self.now_s:.3f}: {truth}"
         self.tightest_n, self.narrowest_mm = max(self.tightest_n, truth.force_n), min(self.narrowest_mm, width_mm)
-
-    # What is so.
 
     @property
     def now_s(self) -> float:
@@ -148,22 +146,20 @@ class Cell:
         return self.world.gripper_state(self.now_s).width_mm
 
     def steady(self) -> bool:
-        """Held, calm, and the grip as firm as it was commanded."""
+        """Whether the object is held at rest, with the commanded force."""
         return self.service.ready_to_lift
 
     @property
-    def where(self) -> str:
-        """How things stand, for a failing test."""
+    def summary(self) -> str:
+        """Phase, messages and truth, for the report of a failing test."""
         service = self.service
         return f"{self.phase} at {self.now_s:.2f} s: {service.waiting_for} {service.event_log.lines[-6:]} {self.truth}"
 
-    # What is done.
-
     async def until(self, reached: Callable[[], bool], within_s: float = 10.0) -> None:
-        """Wait on the virtual clock; says where things stood if it takes too long."""
+        """Wait on the virtual clock; fail with a summary if it takes too long."""
         deadline_s = self.now_s + within_s
         while not reached():
-            assert self.now_s < deadline_s, self.where
+            assert self.now_s < deadline_s, self.summary
             await asyncio.sleep(0.01)
 
     async def ready(self) -> None:
@@ -206,7 +202,7 @@ async def running(cell: Cell) -> AsyncIterator[Cell]:
         yield cell
         assert not task.done(), task
         assert cell.loosened is None, cell.loosened
-        assert cell.service.observer_errors == cell.observer_errors, cell.where
+        assert cell.service.observer_errors == cell.observer_errors, cell.summary
     finally:
         task.cancel()
         (end,) = await asyncio.gather(task, return_exceptions=True)

@@ -1,8 +1,8 @@
 """Stand-ins for a cell on the virtual clock: images that cost nothing, a perceiver that knows the truth, devices
 that log their commands, a store and a worker without disk and threads.
 
-The sensor delivers on the fake's own schedule, with its latency, losses, repetitions and faults, but paints one flat
-colour: a number under which the truth at the moment of exposure is kept. The perceiver looks the truth up and adds
+The sensor delivers on the fake's own schedule, with its latency, losses, repetitions and faults, but shows one flat
+color: a number under which the truth at the moment of exposure is kept. The perceiver looks the truth up and adds
 seeded noise.
 """
 
@@ -37,8 +37,8 @@ Image = NDArray[np.uint8]
 
 
 @dataclass
-class Pictures:
-    """Truths by the number that a flat picture shows."""
+class NumberedImages:
+    """Truths by the number that a flat image shows."""
 
     world: World
     count: int = 0
@@ -46,7 +46,7 @@ class Pictures:
     flickers: bool = False
 
     async def start(self) -> None:
-        """Nothing to get ready."""
+        """Do nothing: nothing is loaded."""
 
     def render(self, shot: RenderRequest, done: Callable[[Image], None]) -> None:
         self.count += 1
@@ -64,12 +64,12 @@ class Pictures:
 
 
 class FlatSensor(FakeSensor):
-    """The fake sensor with pictures that cost nothing."""
+    """The fake sensor with images that cost nothing."""
 
     def __init__(self, context: DriverContext) -> None:
         super().__init__(FakeSensor.Settings(draw="inline"), context)
-        self.pictures = Pictures(self._world)
-        self._renderer = self.pictures
+        self.numbered_images = NumberedImages(self._world)
+        self._renderer = self.numbered_images
         self.opened = 0
 
     async def open(self) -> None:
@@ -78,13 +78,15 @@ class FlatSensor(FakeSensor):
 
 
 class Oracle:
-    """A perceiver that knows the truth, with the noise, the reference and the declining of the real one.
+    """A perceiver that knows the truth, with noise and reference as the real one has, and which may decline.
 
     always_touched: it sees contact where there is none. swings_since_s: it sees the object rotate, though it rests.
     """
 
-    def __init__(self, pictures: Pictures, sign: float, rng: np.random.Generator, blind: str | None) -> None:
-        self.pictures, self.sign, self.rng, self.blind = pictures, sign, rng, blind
+    def __init__(
+        self, numbered_images: NumberedImages, sign: float, rng: np.random.Generator, declined: str | None
+    ) -> None:
+        self.numbered_images, self.sign, self.rng, self.declined = numbered_images, sign, rng, declined
         self.always_touched = False
         self.swings_since_s: float | None = None
         self.last_patch = None
@@ -101,7 +103,7 @@ class Oracle:
         self.tracked_s = 0.0
 
     def process(self, frame: Frame) -> Estimate:
-        truth, now_s = self.pictures.truth(frame.image), frame.captured_at_s
+        truth, now_s = self.numbered_images.truth(frame.image), frame.captured_at_s
         self.sequence = frame.sequence
         touched = truth.in_contact or self.always_touched
         plain = Estimate(frame.sequence, now_s, now_s, touched, 4000 * touched, "oracle")
@@ -111,15 +113,15 @@ class Oracle:
         rotation_deg = self.sign * truth.rotation_deg + self.rng.normal(0.0, SIGMA_DEG)
         if self.swings_since_s is not None:
             rotation_deg += self.sign * SWING_DEG_S * (now_s - self.swings_since_s)
-        slide_mm = truth.slip_mm + self.rng.normal(0.0, NOISE_MM)
+        slip_mm = truth.slip_mm + self.rng.normal(0.0, NOISE_MM)
         self.stable += 1
         if self.reference is None:
             if self.stable < STABLE_FRAMES:
                 return replace(plain, declined="no reference yet")
-            self.reference, self.tracked_s = (rotation_deg, slide_mm), now_s
-        shift_mm = (0.0, self.reference[1] - slide_mm)
-        if self.blind is not None:
-            return replace(plain, shift_mm=shift_mm, declined=self.blind)
+            self.reference, self.tracked_s = (rotation_deg, slip_mm), now_s
+        shift_mm = (0.0, self.reference[1] - slip_mm)
+        if self.declined is not None:
+            return replace(plain, shift_mm=shift_mm, declined=self.declined)
         rotation_deg -= self.reference[0]
         passed_s = max(now_s - self.tracked_s, 1e-3)
         value, rate = self.track[0] + self.track[1] * passed_s, self.track[1]
@@ -178,7 +180,7 @@ class LoggedArm(FakeArm):
 
 
 class Memory:
-    """A store of no-contact images that forgets with the process."""
+    """A store of background images in memory."""
 
     def __init__(self, *serials: str) -> None:
         blank = np.zeros(SHAPE, np.uint8)

@@ -32,7 +32,7 @@ async def clear_when_possible(cell: Cell) -> None:
             await cell.submit(ClearRequest())
             return
         await asyncio.sleep(0.1)
-    raise AssertionError(cell.where)
+    raise AssertionError(cell.summary)
 
 
 DEVICE_FAULTS = (FaultCode.FRAMES_LOST, FaultCode.GRIPPER_SILENT, FaultCode.ARM_SILENT)

@@ -118,7 +118,7 @@ def test_it_is_refused_while_the_gripper_is_held_by_another_program() -> None:
 def test_a_moving_picture_stores_nothing() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        cell.sensors["right"].pictures.flickers = True
+        cell.sensors["right"].numbered_images.flickers = True
         with pytest.raises(CommandRefused, match="right: the image is not still"):
             await cell.submit(CalibrateRequest())
         assert cell.store.kept == {}

@@ -124,14 +124,14 @@ def test_a_gripper_still_closing_is_not_declared_empty() -> None:
 
 @pytest.mark.parametrize("kind", ["disconnect", "stall", "frozen", "corrupt"])
 @pytest.mark.parametrize("finger", sampled(["left", "right"], every=2))
-def test_one_finger_gone_is_said_and_the_other_guards_on(finger: str, kind: str) -> None:
+def test_a_lost_finger_is_reported_and_the_other_continues_to_guard(finger: str, kind: str) -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
         cell.world.faults.fail(finger, kind)
-        said = len(cell.says)
+        before = len(cell.messages)
         missed = f"{finger} finger: no frames"
-        await cell.until(lambda: any(missed in line for line in cell.says[said:]), NAMED_WITHIN_S)
+        await cell.until(lambda: any(missed in line for line in cell.messages[before:]), NAMED_WITHIN_S)
         await cell.until(lambda: any(line.startswith(finger) for line in cell.service.waiting_for), NAMED_WITHIN_S)
         await cell.lift()
         assert cell.phase is Phase.HOLDING
@@ -223,7 +223,7 @@ async def lowering(cell: Cell) -> None:
     await asyncio.sleep(0.2)
 
 
-async def blind(cell: Cell) -> None:
+async def declining(cell: Cell) -> None:
     """Both cameras are gone: a fault by now."""
     assert cell.world is not None
     await holding(cell)
@@ -232,7 +232,7 @@ async def blind(cell: Cell) -> None:
     await cell.until(lambda: cell.phase is Phase.FAULT)
 
 
-@pytest.mark.parametrize("reach", [Cell.ready, closing, referencing, lifting, holding, lowering, faulty, blind])
+@pytest.mark.parametrize("reach", [Cell.ready, closing, referencing, lifting, holding, lowering, faulty, declining])
 def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
     async def scene(cell: Cell) -> None:
         await reach(cell)

@@ -262,19 +262,19 @@ def test_an_end_during_the_lift_stops_the_arm_and_keeps_the_grip(
     order: list[str] = []
     stop, close = bench.service._arm_device.stop, bench.service._arm_device.close
 
-    def noted(name: str, what: Callable[[], Awaitable[None]]) -> Callable[[], Awaitable[None]]:
+    def log_call(name: str, what: Callable[[], Awaitable[None]]) -> Callable[[], Awaitable[None]]:
         async def noting() -> None:
             order.append(name)
             await what()
 
         return noting
 
-    monkeypatch.setattr(bench.service._arm_device, "stop", noted("stop", stop))
-    monkeypatch.setattr(bench.service._arm_device, "close", noted("close", close))
+    monkeypatch.setattr(bench.service._arm_device, "stop", log_call("stop", stop))
+    monkeypatch.setattr(bench.service._arm_device, "close", log_call("close", close))
     if by == "timeout":
         monkeypatch.setattr(real_lifts._Cell, "_limit_s", lambda cell, height_mm, speed_mm_s: 0.3)
-    said = "interrupted" if by == "Ctrl-C" else "the lift does not end"
-    with pytest.raises(SlipguardError, match=rf"{said}.*; the arm is stopped and the grip is kept"):
+    expected = "interrupted" if by == "Ctrl-C" else "the lift does not end"
+    with pytest.raises(SlipguardError, match=rf"{expected}.*; the arm is stopped and the grip is kept"):
         run_virtual(bench.while_lifting(None) if by == "Ctrl-C" else bench.run())
     assert order[:2] == ["stop", "close"]
     assert len(bench.asked) == 1

@@ -50,7 +50,7 @@ def test_a_grasp_of_nothing_closes_on_nothing_and_the_gels_stay_apart(error_mm: 
         await cell.until(lambda: cell.phase is not Phase.CLOSING)
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.IDLE
-        assert "the gripper closed on nothing" in cell.says
+        assert "the gripper closed on nothing" in cell.messages
         assert not cell.truth.in_contact
         await cell.submit(MoveJawsRequest(width_mm=30.0))
         await cell.until(lambda: cell.service.gripper.newest is not None and cell.service.gripper.newest.width_mm > 29)

@@ -31,14 +31,14 @@ def gel() -> np.ndarray:
     return np.clip(background_image(random_unit(np.random.default_rng(3))), 20, 220)
 
 
-def cut(picture: np.ndarray) -> np.ndarray:
-    worn = picture.copy()
+def cut(gel_image: np.ndarray) -> np.ndarray:
+    worn = gel_image.copy()
     cv2.circle(worn, (90, 150), 8, (10, 10, 10), -1)
     return worn
 
 
 class Bench:
-    """A watch on a service that does not run: frames are judged by hand, each on its second."""
+    """A monitor of a service that does not run: it gets one frame per second of the test."""
 
     def __init__(self, store: Any = None) -> None:
         self.cell = Cell()
@@ -51,28 +51,28 @@ class Bench:
         self.finger = self.service.fingers["left"]
         self.finger.capture.assume_serial("SIM-L")
         self.service.gripper.newest = OPEN
-        self.said: list[str] = []
-        self.service.event_log.listeners.append(lambda event: self.said.append(event.line))
-        self.watch = GelMonitor(self.service)
+        self.reported: list[str] = []
+        self.service.event_log.listeners.append(lambda event: self.reported.append(event.line))
+        self.monitor = GelMonitor(self.service)
         self.now_s = 0.0
         self.rng = np.random.default_rng(0)
 
-    async def show(self, picture: np.ndarray, for_s: float, *, contact: bool = False, renewed: bool = False) -> None:
-        """The sensor delivers this picture, with noise, for a while."""
-        noisy = np.clip(picture + self.rng.normal(0.0, 2.0, picture.shape), 0, 255).astype(np.uint8)
+    async def show(self, gel_image: np.ndarray, for_s: float, *, contact: bool = False, renewed: bool = False) -> None:
+        """The sensor delivers this image, with noise, for a while."""
+        noisy = np.clip(gel_image + self.rng.normal(0.0, 2.0, gel_image.shape), 0, 255).astype(np.uint8)
         for second in range(round(for_s)):
             self.now_s += 1.0
             await asyncio.sleep(1.0)
             estimate = Estimate(second, self.now_s, self.now_s, contact, 4000 * contact, "oracle")
             frame = Frame(noisy, self.now_s, second)
-            self.watch.add_frame("left", ProcessedFrame(frame, self.now_s, False, renewed and second == 0, estimate))
+            self.monitor.add_frame("left", ProcessedFrame(frame, self.now_s, False, renewed and second == 0, estimate))
         await asyncio.sleep(1.0)
 
 
 def play(scene: Callable[[Bench], Coroutine[Any, Any, None]], store: Any = None) -> None:
     async def main() -> None:
         bench = Bench(store)
-        watching = asyncio.create_task(bench.watch.run())
+        watching = asyncio.create_task(bench.monitor.run())
         try:
             await scene(bench)
         finally:
@@ -85,45 +85,45 @@ def play(scene: Callable[[Bench], Coroutine[Any, Any, None]], store: Any = None)
 
 def test_an_unchanged_gel_is_ok_and_not_logged() -> None:
     async def scene(bench: Bench) -> None:
-        assert "left" not in bench.watch.conditions
+        assert "left" not in bench.monitor.conditions
         await bench.show(gel(), 300.0)
-        assert "left" in bench.watch.conditions
-        assert bench.watch.conditions["left"].status is GelStatus.OK
-        assert bench.said == []
+        assert "left" in bench.monitor.conditions
+        assert bench.monitor.conditions["left"].status is GelStatus.OK
+        assert bench.reported == []
 
     play(scene)
 
 
-def test_a_cut_is_said_once_with_its_size_and_what_to_do() -> None:
+def test_a_cut_is_reported_once_with_its_size_and_what_to_do() -> None:
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 150.0)
-        assert bench.said == []  # two minutes agree; three are needed
-        assert "left" in bench.watch.conditions
-        assert bench.watch.conditions["left"].status is GelStatus.WORN
+        assert bench.reported == []  # two minutes agree; three are needed
+        assert "left" in bench.monitor.conditions
+        assert bench.monitor.conditions["left"].status is GelStatus.WORN
         await bench.show(cut(gel()), 600.0)
-        (line,) = bench.said
+        (line,) = bench.reported
         assert line.startswith("left (SIM-L): 1 lasting mark since the gel's first background image, ")
         assert "gray levels at x = 90, y = 150 px; clean the gel; if the marks stay, replace it and run" in line
-        assert 0.5 <= bench.watch.conditions["left"].marked_mm2 <= 1.5
+        assert 0.5 <= bench.monitor.conditions["left"].marked_mm2 <= 1.5
 
     play(scene)
 
 
-def test_light_that_drifts_is_said_with_figures_and_no_more_after_a_calibration() -> None:
+def test_drifting_light_is_reported_with_figures_and_no_more_after_a_calibration() -> None:
     async def scene(bench: Bench) -> None:
         warmer = np.clip(gel() + np.array([0.0, -4.0, 18.0]), 0, 255)
         await bench.show(warmer, 600.0)
-        (line,) = bench.said
+        (line,) = bench.reported
         assert "red +18 gray levels" in line
         await bench.show(gel(), 300.0)
         await bench.show(warmer, 300.0)
-        assert len(bench.said) == 1  # it comes and goes
+        assert len(bench.reported) == 1  # it comes and goes
         assert line.endswith("; open and empty the jaws and run `slipguard calibrate`")
         bench.cell.store.kept["SIM-L"] = BackgroundImage(warmer.astype(np.uint8), NOISE_BGR, 30)
         await bench.show(warmer, 300.0, renewed=True)
-        assert "left" in bench.watch.conditions
-        assert bench.watch.conditions["left"].status is GelStatus.OK
-        assert len(bench.said) == 1
+        assert "left" in bench.monitor.conditions
+        assert bench.monitor.conditions["left"].status is GelStatus.OK
+        assert len(bench.reported) == 1
 
     play(scene)
 
@@ -135,7 +135,7 @@ def test_a_touch_and_changes_shorter_than_three_minutes_raise_no_alert() -> None
             await bench.show(cut(gel()), 30.0, contact=True)
             await bench.show(cut(gel()), 70.0)  # dirt that falls off again
             await bench.show(gel(), 130.0)
-        assert bench.said == []
+        assert bench.reported == []
 
     play(scene)
 
@@ -149,7 +149,7 @@ def test_nothing_is_compared_while_an_object_may_be_held() -> None:
         guard = bench.service._control_state
         bench.service._control_state = replace(guard, grasp=replace(guard.grasp, phase=Phase.HOLDING))
         await bench.show(cut(gel()), 300.0)
-        assert "left" not in bench.watch.conditions
+        assert "left" not in bench.monitor.conditions
 
     play(scene)
 
@@ -164,24 +164,24 @@ def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_starts_fre
 
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 300.0)
-        assert "left" in bench.watch.conditions
-        assert bench.watch.conditions["left"].status is (GelStatus.OK if new_gel else GelStatus.WORN)
-        assert len(bench.said) == (0 if new_gel else 1)
-        assert bench.watch.conditions["left"].light.marks == ()
+        assert "left" in bench.monitor.conditions
+        assert bench.monitor.conditions["left"].status is (GelStatus.OK if new_gel else GelStatus.WORN)
+        assert len(bench.reported) == (0 if new_gel else 1)
+        assert bench.monitor.conditions["left"].light.marks == ()
 
     play(scene, store)
 
 
-def test_contact_without_end_is_said_where_the_jaws_are_open() -> None:
+def test_endless_contact_is_reported_if_the_jaws_are_open() -> None:
     async def scene(bench: Bench) -> None:
         await bench.show(gel(), 590.0, contact=True)
-        assert bench.said == []
+        assert bench.reported == []
         await bench.show(gel(), 1000.0, contact=True)
-        assert len(bench.said) == 1
-        assert "left: contact for 10 minutes with open jaws" in bench.said[0]
+        assert len(bench.reported) == 1
+        assert "left: contact for 10 minutes with open jaws" in bench.reported[0]
         bench.service.gripper.newest = None
         await bench.show(gel(), 1000.0, contact=True, renewed=True)
-        assert len(bench.said) == 1
+        assert len(bench.reported) == 1
 
     play(scene)
 
@@ -194,9 +194,9 @@ def test_a_failing_comparison_does_not_end_the_monitor(monkeypatch: pytest.Monke
 
     async def scene(bench: Bench) -> None:
         await bench.show(gel(), 200.0)
-        assert "left" not in bench.watch.conditions
+        assert "left" not in bench.monitor.conditions
         monkeypatch.undo()
         await bench.show(gel(), 100.0)
-        assert "left" in bench.watch.conditions
+        assert "left" in bench.monitor.conditions
 
     play(scene)

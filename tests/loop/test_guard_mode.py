@@ -39,7 +39,7 @@ def test_guarding_starts_by_itself_when_something_is_held() -> None:
         assert cell.truth.applied_n > GRIP_N + 5.0
 
     cell = play(Cell("wrench", 1, guard=GUARD), scene)
-    assert any(said.startswith("slip: ") for said in cell.says)
+    assert any(line.startswith("slip: ") for line in cell.messages)
     assert all(what == "stop" for _, what, _ in cell.arm.commands)  # paused, never taken over
 
 
@@ -76,8 +76,8 @@ def test_another_program_never_undercuts_the_guard() -> None:
         await lifted_by_another_program(cell)
         guarded_n = cell.truth.applied_n
         assert guarded_n > GRIP_N + 5.0
-        said = await cell.submit(MoveJawsRequest(force_n=25.0))
-        assert f"{guarded_n:.0f} N" in said
+        response = await cell.submit(MoveJawsRequest(force_n=25.0))
+        assert f"{guarded_n:.0f} N" in response
         with pytest.raises(CommandRefused, match="opening would drop it; use release"):
             await cell.submit(MoveJawsRequest(width_mm=80.0, force_n=25.0))
         with pytest.raises(CommandRefused, match="force limit of 130 N"):

@@ -30,19 +30,23 @@ from slipguard.sim.world import World, WorldSettings
 MAY_HOLD = ControlState(GraspState(adoption=Adoption(outdated=True)))
 
 
-def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
-    shelf = StateDir(tmp_path)
+def save_grip(cell: Cell, store: StateDir) -> None:
+    cell.service.observers.append(LastGraspSaver(store, cell.messages.append, cell.messages.append).add_decision)
+
+
+def test_the_grip_is_saved_tightened_and_deleted(tmp_path: Path) -> None:
+    store = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
+        save_grip(cell, store)
         await cell.grasp()
         await asyncio.sleep(0.1)
-        first = shelf.load_last_grasp()
+        first = store.load_last_grasp()
         assert first is not None
         assert first.force_n == cell.service.state.grip.target_n
         await cell.lift()
         await asyncio.sleep(0.5)
-        tightened = shelf.load_last_grasp()
+        tightened = store.load_last_grasp()
         assert tightened is not None
         assert tightened.force_n == cell.service.state.grip.target_n > first.force_n
         assert restore_control_state(store).grasp.adoption.remembered == RememberedGrip(
@@ -51,7 +55,7 @@ def test_the_grip_is_noted_down_tightened_and_forgotten(tmp_path: Path) -> None:
         await cell.lower()
         await cell.release()
         await asyncio.sleep(0.1)
-        assert shelf.load_last_grasp() is None
+        assert store.load_last_grasp() is None
 
     play(Cell("wrench", 1), scene)
 
@@ -64,23 +68,23 @@ def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(tmp_path: Path)
             self.writes += 1
             super().save_last_grasp(last)
 
-    shelf = Counting(tmp_path)
+    store = Counting(tmp_path)
 
     async def scene(cell: Cell) -> None:
-        keeper = LastGraspSaver(shelf, cell.says.append, cell.says.append)
+        saver = LastGraspSaver(store, cell.messages.append, cell.messages.append)
         decisions: list[Decision] = []
         cell.service.observers.append(decisions.append)
         await cell.grasp()
         held = decisions[-1]
         for minutes in range(0, 21, 4):
-            keeper.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
+            saver.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
             await asyncio.sleep(0.1)
-        assert shelf.writes == 3, "at 0, 8 and 16 minutes"
+        assert store.writes == 3, "at 0, 8 and 16 minutes"
 
     play(Cell("wrench", 1), scene)
 
 
-def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
+def test_a_disk_that_fails_is_reported_and_does_not_stop_the_grasp() -> None:
     class Full:
         def save_last_grasp(self, last: LastGrasp) -> None:
             raise ConfigError("last_grasp.json: cannot be written (No space left on device)")
@@ -91,20 +95,20 @@ def test_a_disk_that_fails_is_said_and_keeps_nothing_from_going_on() -> None:
         def delete_last_grasp(self) -> None:
             raise OSError(30, "Read-only file system")
 
-    said: list[str] = []
+    reported: list[str] = []
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(Full(), said.append, said.append).add_decision)
+        cell.service.observers.append(LastGraspSaver(Full(), reported.append, reported.append).add_decision)
         await cell.grasp()
         await asyncio.sleep(0.2)
 
     play(Cell("wrench", 1), scene)
-    assert any("No space left" in line for line in said)
-    assert len(said) <= 3
+    assert any("No space left" in line for line in reported)
+    assert len(reported) <= 3
 
 
-def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tmp_path: Path) -> None:
-    class Mended(StateDir):
+def test_a_repaired_disk_gets_the_grip_though_the_force_has_not_changed(tmp_path: Path) -> None:
+    class Repaired(StateDir):
         writes = 0
 
         def save_last_grasp(self, last: LastGrasp) -> None:
@@ -113,22 +117,22 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
                 raise ConfigError("last_grasp.json: cannot be written (No space left on device)")
             super().save_last_grasp(last)
 
-    shelf, said = Mended(tmp_path), list[str]()
+    store, reported = Repaired(tmp_path), list[str]()
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(shelf, said.append, said.append).add_decision)
+        cell.service.observers.append(LastGraspSaver(store, reported.append, reported.append).add_decision)
         await cell.grasp()
-        await cell.until(lambda: shelf.writes > 0)
-        before, force_n = shelf.writes, cell.service.state.grip.target_n
+        await cell.until(lambda: store.writes > 0)
+        before, force_n = store.writes, cell.service.state.grip.target_n
         await asyncio.sleep(1.0)
-        assert (shelf.writes, before) == (1, 1), "not at once again"
+        assert (store.writes, before) == (1, 1), "not at once again"
         await asyncio.sleep(3 * RETRY_S)
-        last = shelf.load_last_grasp()
+        last = store.load_last_grasp()
         assert last is not None
         assert last.force_n == force_n == cell.service.state.grip.target_n
 
     play(Cell("wrench", 1), scene)
-    assert [line.partition(" for a restart")[0] for line in said] == [
+    assert [line.partition(" for a restart")[0] for line in reported] == [
         "the grip could not be saved",
         "the grip can be saved",
     ]
@@ -136,45 +140,45 @@ def test_a_disk_that_is_mended_gets_the_grip_though_the_force_has_not_changed(tm
 
 def test_a_force_counts_as_applied_once_the_gripper_confirms_it(tmp_path: Path) -> None:
     """A daemon killed between a command and its effect must leave nothing behind that looks like a firm grip."""
-    shelf = StateDir(tmp_path)
+    store = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
+        save_grip(cell, store)
         await cell.grasp()
         await asyncio.sleep(0.1)
         assert cell.service.state.grip.target_n == pytest.approx(40.0, abs=0.85)
-        assert (await noted(shelf)).applied
+        assert (await saved_grip(store)).applied
         cell.world.faults.fail("gripper", "timeout")
         await cell.submit(MoveJawsRequest(force_n=120.0))
         await asyncio.sleep(0.15)
-        untaken = await noted(shelf)
-        assert untaken.force_n == pytest.approx(120.0, abs=0.85)
-        assert not untaken.applied
+        not_applied = await saved_grip(store)
+        assert not_applied.force_n == pytest.approx(120.0, abs=0.85)
+        assert not not_applied.applied
         cell.world.faults.repair("gripper")
         await cell.until(lambda: cell.truth.force_n > 115.0)
         await asyncio.sleep(0.3)
-        assert (await noted(shelf)).applied
+        assert (await saved_grip(store)).applied
 
     play(Cell("wrench", 1), scene)
 
 
-async def noted(shelf: StateDir) -> RememberedGrip:
-    """What a daemon started now would know of the grip."""
+async def saved_grip(store: StateDir) -> RememberedGrip:
+    """Return the grip that a daemon started now would restore."""
     await asyncio.sleep(0.05)
     grip = restore_control_state(store).grasp.adoption.remembered
     assert grip is not None
     return grip
 
 
-def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
-    shelf = StateDir(tmp_path)
+def test_a_latched_fault_is_saved_until_it_is_cleared(tmp_path: Path) -> None:
+    store = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
+        save_grip(cell, store)
         await cell.grasp()
-        grip = await noted(shelf)
+        grip = await saved_grip(store)
         cell.world.faults.fail("gripper", "disconnect")
         await cell.until(lambda: cell.phase is Phase.FAULT)
         await asyncio.sleep(0.1)
@@ -197,24 +201,24 @@ def test_a_latched_fault_is_noted_until_it_is_cleared(tmp_path: Path) -> None:
         assert restore_control_state(store).grasp.fault is None
         await cell.until(lambda: cell.phase is Phase.IDLE)
         await asyncio.sleep(0.1)
-        assert shelf.load_last_grasp() is None
+        assert store.load_last_grasp() is None
 
     play(Cell("wrench", 1, watched=False), scene)
 
 
-def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(tmp_path: Path) -> None:
-    shelf = StateDir(tmp_path)
+def test_a_fault_without_a_gripper_is_saved_with_the_grip_of_before_the_restart(tmp_path: Path) -> None:
+    store = StateDir(tmp_path)
     grip = RememberedGrip(90.0, 18.0, applied=False, limit_n=95.0)
     fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
 
     async def scene() -> None:
-        keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
+        saver = LastGraspSaver(store, list[str]().append, list[str]().append)
         before = ControlState(GraspState(adoption=Adoption(remembered=grip), person=PersonNear(True)))
         rotation = Decision(1.0, Phase.IDLE, Observation(1.0), StepOutput(), before)
-        keeper.add_decision(rotation)
+        saver.add_decision(rotation)
         await asyncio.sleep(0.1)
-        assert shelf.load_last_grasp() is None, "nothing is known yet"
-        keeper.add_decision(replace(rotation, phase=Phase.FAULT, output=StepOutput(fault=fault)))
+        assert store.load_last_grasp() is None, "nothing is known yet"
+        saver.add_decision(replace(rotation, phase=Phase.FAULT, output=StepOutput(fault=fault)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
@@ -224,13 +228,13 @@ def test_a_fault_without_a_gripper_is_noted_with_the_grip_of_before_the_restart(
 
 
 def test_a_requested_release_is_stored_with_its_fault(tmp_path: Path) -> None:
-    shelf = StateDir(tmp_path)
+    store = StateDir(tmp_path)
     fault = Fault(FaultCode.GRIPPER_STUCK, "not open 2.0 s after the release", "look at the gripper")
 
     async def scene() -> None:
-        keeper = LastGraspSaver(shelf, list[str]().append, list[str]().append)
+        saver = LastGraspSaver(store, list[str]().append, list[str]().append)
         grasp = GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
-        keeper.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=fault), ControlState(grasp)))
+        saver.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=fault), ControlState(grasp)))
         await asyncio.sleep(0.1)
 
     asyncio.run(scene())
@@ -255,7 +259,7 @@ def test_after_a_damaged_file_it_is_unknown_whether_something_is_held(tmp_path: 
 
 
 def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path) -> None:
-    shelf, before = StateDir(tmp_path), Cell("wrench", 1)
+    store, before = StateDir(tmp_path), Cell("wrench", 1)
 
     async def scene() -> None:
         async with running(before):
@@ -271,7 +275,7 @@ def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path
             assert [what for _, what, _ in after.gripper.commands if what in ("release", "activate")] == []
             await after.lift()
             assert after.truth.dropped is None
-            assert (await noted(shelf)).force_n == after.service.state.grip.target_n
+            assert (await saved_grip(store)).force_n == after.service.state.grip.target_n
 
     run_virtual(scene())
 
@@ -321,11 +325,11 @@ def test_an_old_file_only_says_that_something_may_be_held(tmp_path: Path) -> Non
 
 def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
     """A daemon that starts with a person in the jaws adds no force until a person requests it."""
-    shelf = StateDir(tmp_path)
+    store = StateDir(tmp_path)
 
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
+        save_grip(cell, store)
         await cell.grasp()
         cell.world.faults.fail("arm", "protective_stop")
         await asyncio.sleep(0.3)
@@ -340,10 +344,10 @@ def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ahead", [timedelta(minutes=1), timedelta(days=400)])
-def test_a_note_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: timedelta) -> None:
+def test_a_file_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: timedelta) -> None:
     """The clock of a computer with an empty battery, before and after it was set."""
-    shelf, now = StateDir(tmp_path), datetime.now(UTC)
-    shelf.save_last_grasp(LastGrasp(saved_at=now + ahead, force_n=90.0, width_mm=18.0))
+    store, now = StateDir(tmp_path), datetime.now(UTC)
+    store.save_last_grasp(LastGrasp(saved_at=now + ahead, force_n=90.0, width_mm=18.0))
     lines: list[str] = []
     assert restore_control_state(store, now, lines.append) == MAY_HOLD
     assert "in the future; check the computer's clock" in lines[0]
@@ -353,7 +357,7 @@ def test_a_note_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: time
 def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
     tmp_path: Path, step: timedelta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shelf = StateDir(tmp_path)
+    store = StateDir(tmp_path)
 
     class Stepped(datetime):
         @classmethod
@@ -361,16 +365,16 @@ def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
             return datetime.now(tz) + step
 
     async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(shelf, cell.says.append, cell.says.append).add_decision)
+        save_grip(cell, store)
         await cell.grasp()
-        before = await noted(shelf)
+        before = await saved_grip(store)
         monkeypatch.setattr(dated_file, "datetime", Stepped)
-        assert await noted(shelf) == before
+        assert await saved_grip(store) == before
         await cell.lift()
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.HOLDING
-        assert (await noted(shelf)).force_n == cell.service.state.grip.target_n
+        assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
         monkeypatch.undo()
-        assert (await noted(shelf)).force_n == cell.service.state.grip.target_n
+        assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
 
     play(Cell("wrench", 1), scene)

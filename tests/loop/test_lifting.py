@@ -64,7 +64,7 @@ def test_without_the_guard_it_turns_far(object_name: str) -> None:
     assert [force_n for _, what, force_n in cell.gripper.commands if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
 
 
-BLIND = {"left": "round contact", "right": "round contact"}
+DECLINED = {"left": "round contact", "right": "round contact"}
 
 
 def test_what_cannot_be_seen_turning_is_gripped_firmly_before_it_is_lifted() -> None:
@@ -79,7 +79,7 @@ def test_what_cannot_be_seen_turning_is_gripped_firmly_before_it_is_lifted() -> 
         assert cell.phase is Phase.HOLDING
         assert cell.truth.dropped is None
 
-    play(Cell("ball", 1, guard=BRISK, blind=BLIND), scene)
+    play(Cell("ball", 1, guard=BRISK, declined=DECLINED), scene)
 
 
 def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
@@ -98,7 +98,7 @@ def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
         await cell.submit(LiftRequest())
         assert cell.truth.force_n >= 85.0
 
-    play(Cell("ball", 1, guard=BRISK, blind=BLIND), scene)
+    play(Cell("ball", 1, guard=BRISK, declined=DECLINED), scene)
 
 
 def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> None:
@@ -110,7 +110,7 @@ def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> No
         assert not [command for command in cell.arm.commands if command[1] == "lift"]
         await cell.release()
 
-    play(Cell("ball", 1, guard=BRISK | {"on_no_estimate": "refuse"}, blind=BLIND), scene)
+    play(Cell("ball", 1, guard=BRISK | {"on_no_estimate": "refuse"}, declined=DECLINED), scene)
 
 
 def test_one_finger_that_sees_is_enough() -> None:
@@ -122,8 +122,8 @@ def test_one_finger_that_sees_is_enough() -> None:
         assert cell.phase is Phase.HOLDING
         assert abs(cell.truth.rotation_deg) < 25.0
 
-    cell = play(Cell("wrench", 1, guard=BRISK, blind={"right": "round contact"}), scene)
-    assert any("by one finger only (right finger: round contact)" in said for said in cell.says)
+    cell = play(Cell("wrench", 1, guard=BRISK, declined={"right": "round contact"}), scene)
+    assert any("by one finger only (right finger: round contact)" in line for line in cell.messages)
 
 
 def test_closing_on_nothing_ends_in_idle_and_can_be_tried_again() -> None:
@@ -133,7 +133,7 @@ def test_closing_on_nothing_ends_in_idle_and_can_be_tried_again() -> None:
         await cell.ready()
         await cell.submit(GraspRequest())
         await cell.until(lambda: cell.phase is Phase.IDLE)
-        assert "the gripper closed on nothing" in cell.says
+        assert "the gripper closed on nothing" in cell.messages
         await cell.release()
 
     play(Cell(), scene)

@@ -34,7 +34,7 @@ def test_minutes_of_holding_neither_tighten_nor_grow(minutes: int) -> None:
         assert len(cell.gripper.commands) == count
         assert cell.phase is Phase.HOLDING
         assert cell.service.deadlines_missed == 0
-        assert len(cell.service.event_log.lines) == said
+        assert len(cell.service.event_log.lines) == lines
 
     cell = Cell("wrench", 1, loop={"poll_ms": 100.0}, fps=30.0, watched=False)
     play(cell, scene)

@@ -65,7 +65,7 @@ def lift(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cell = Cell("wrench", 1)
     recorder = recorded(cell, folder)
     assert recorder.stopped is None
-    assert any("tightening" in said for said in cell.says)
+    assert any("tightening" in line for line in cell.messages)
     return folder / "kept"
 
 
@@ -103,12 +103,12 @@ def test_an_independent_reader_finds_every_turn_of_the_loop(lift: Path) -> None:
     for path in lift.iterdir():
         with path.open("rb") as file:
             reader = make_reader(file)
-            inputs = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.TICK_TOPIC])]
+            inputs = [json.loads(message.data) for _, _, message in reader.iter_messages(topics=[m.CYCLE_TOPIC])]
             summary = reader.get_summary()
         assert [one["now_s"] for one in inputs] == [tick.now_s for tick in ticks(path)]
         tightened += sum((one["output"]["gripper"] or {}).get("kind") == "hold" for one in inputs)
         assert summary is not None
-        assert {channel.topic for channel in summary.channels.values()} >= {m.TICK_TOPIC, *m.JUDGED_TOPIC.values()}
+        assert {channel.topic for channel in summary.channels.values()} >= {m.CYCLE_TOPIC, *m.FRAME_TOPIC.values()}
     assert tightened
 
 
@@ -176,8 +176,8 @@ def test_a_disk_that_fills_up_ends_the_recording_and_not_the_guard(tmp_path: Pat
     recorder = recorded(cell, tmp_path, opener=FillingUp)  # type: ignore[arg-type]
     assert recorder.stopped is not None
     assert "No space left on device" in recorder.stopped
-    said = [line for line in cell.service.event_log.lines if "recording stopped" in line]
-    assert len(said) == 1
-    assert "the guard goes on" in said[0]
-    assert any("tightening" in line for line in cell.says), "the object slipped and the grip was not tightened"
+    reported = [line for line in cell.service.event_log.lines if "recording stopped" in line]
+    assert len(reported) == 1
+    assert "the guard goes on" in reported[0]
+    assert any("tightening" in line for line in cell.messages), "the object slipped and the grip was not tightened"
     assert ticks(longest(tmp_path / "kept")), "the slip came after, what was before it is kept"

@@ -82,7 +82,7 @@ def ended_when_cancelled_at(rotation: int, make: Callable[[], Coroutine[Any, Any
 def test_a_device_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
     def driven() -> Coroutine[Any, Any, None]:
         device = Careless(there)
-        actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda said: None)
+        actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda line: None)
         actuator.command(device.stop)
         return actuator.run()
 
@@ -104,7 +104,7 @@ def test_so_is_a_sensor(rotation: int, there: bool) -> None:
 async def test_a_stop_in_the_middle_of_an_attempt_at_a_port_that_is_absent(rotation: int, tmp_path: Path) -> None:
     settings = RobotiqGripper.Settings(port=str(tmp_path / "ttyAbsent"))
     gripper = RobotiqGripper(settings, DriverContext("gripper"))
-    running = asyncio.create_task(Actuator("gripper", gripper, 0.025, 0.5, lambda: None, lambda said: None).run())
+    running = asyncio.create_task(Actuator("gripper", gripper, 0.025, 0.5, lambda: None, lambda line: None).run())
     for _ in range(rotation):
         await asyncio.sleep(0)
     running.cancel()
@@ -139,11 +139,11 @@ def test_a_task_that_ignores_cancellation_is_named_and_cancelled_again(
             await root.run(config, lambda _: idle, world=World(WorldSettings(), seed=0), extra_task=extra_task_body)
 
     structlog.reset_defaults()
-    with capture_logs() as said:
+    with capture_logs() as reported:
         asyncio.run(main())
-    (line,) = [line for line in said if "cancelled again" in line["event"]]
+    (line,) = [line for line in reported if "cancelled again" in line["event"]]
     assert "extra" in line["tasks"]
-    assert said[-1]["event"] == "slipguard stops; the grip stays as it is"
+    assert reported[-1]["event"] == "slipguard stops; the grip stays as it is"
 
 
 async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -155,11 +155,11 @@ async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
         left.set()
 
     structlog.reset_defaults()
-    with capture_logs() as said:
+    with capture_logs() as reported:
         exit_if_stuck(leave)
         assert left.wait(30.0), "the loop stands still meanwhile"
     assert codes == [1]
-    assert "process exits" in said[-1]["event"]
+    assert "process exits" in reported[-1]["event"]
 
 
 def test_systemd_waits_longer() -> None:

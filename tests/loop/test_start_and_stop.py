@@ -45,8 +45,8 @@ def test_with_no_device_at_all_the_service_waits_and_says_for_what() -> None:
         await asyncio.sleep(3.0)
         assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
         assert cell.phase is Phase.IDLE
-        said = await cell.submit(ReleaseRequest(confirm=True))
-        assert said == "releasing, as requested: when the arm stands, after 0.5 s at the latest"
+        response = await cell.submit(ReleaseRequest(confirm=True))
+        assert response == "releasing, as requested: when the arm stands, after 0.5 s at the latest"
 
     play(Cell(), scene)
 
@@ -121,7 +121,7 @@ def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
             assert new.service.state.held.referenced
             assert new.truth.applied_n == held_n
             assert new.gripper.commands == []
-            assert Phase.FAULT not in new.phases, new.says
+            assert Phase.FAULT not in new.phases, new.messages
             await new.lift()
             await asyncio.sleep(0.5)
             assert new.phase is Phase.HOLDING

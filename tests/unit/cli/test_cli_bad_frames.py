@@ -45,7 +45,7 @@ BAD = {
     "all black": (png(np.zeros((320, 240, 3), np.uint8)), "all black"),
     "all white": (png(np.full((320, 240, 3), 255, np.uint8)), "all white"),
     "NaN": (cv2.imencode(".tiff", np.full((320, 240, 3), np.nan, np.float32))[1].tobytes(), "32 bits per channel"),
-    "text": (b"not a picture", "not a decodable image"),
+    "text": (b"not an image", "not a decodable image"),
 }
 
 
@@ -94,7 +94,7 @@ def test_every_line_has_exactly_the_documented_keys(background: Path, capfd: pyt
 
 
 def test_a_folder_without_images(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "notes.txt").write_text("no picture")
+    (tmp_path / "notes.txt").write_text("no image")
     ran = slipguard(capfd, "measure", tmp_path)
     assert "no image in this folder" in ran.complaint
     assert ran.code == 2

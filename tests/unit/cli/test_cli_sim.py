@@ -55,8 +55,8 @@ def test_one_lift_as_json(capfd: pytest.CaptureFixture[str], tmp_path: Path, mon
     assert found["latency_p99_ms"] is None
     assert set(shown) == {("bar", None)}, "a virtual clock measures no latency"
     assert lines[0]["lift"]["object"] == "bar"
-    picture = cv2.imread(str(tmp_path / "new" / "out" / "guarded.png"))
-    assert picture.std() > 5.0
+    plot = cv2.imread(str(tmp_path / "new" / "out" / "guarded.png"))
+    assert plot.std() > 5.0
     assert ran.err.startswith("plot: ")
 
 

@@ -152,7 +152,7 @@ def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
     assert sensor.check_background("D1", store, now).status is CheckStatus.OK
     old = sensor.check_background("D1", store, now + timedelta(days=60))
     assert (old.status, old.observed) == (CheckStatus.NOTE, "60 days old (limit 30 days)")
-    next(tmp_path.glob("sensors/D1/*.png")).write_bytes(b"no picture")
+    next(tmp_path.glob("sensors/D1/*.png")).write_bytes(b"no image")
     assert sensor.check_background("D1", store, now).status is CheckStatus.PROBLEM
 
 

@@ -16,85 +16,85 @@ TICK_S = 0.01
 
 class Listener:
     def __init__(self) -> None:
-        self.said: list[tuple[float, str]] = []
+        self.reported: list[tuple[float, str]] = []
         self.now_s = 100.0
         self.warned: list[str] = []
         self.alerts = DeviceAlerts(self._say, self._warn)
 
     def _say(self, line: str) -> None:
-        self.said.append((round(self.now_s, 2), line))
+        self.reported.append((round(self.now_s, 2), line))
 
     def _warn(self, line: str) -> None:
         self.warned.append(line)
         self._say(line)
 
-    def look(self, why: str | None, seconds: float, phase: Phase = Phase.HOLDING) -> None:
+    def report(self, why: str | None, seconds: float, phase: Phase = Phase.HOLDING) -> None:
         for _ in range(round(seconds / TICK_S)):
             self.now_s += TICK_S
             self.alerts.update(self.now_s, {"left": why}, phase, 0.5)
 
     @property
     def lines(self) -> list[str]:
-        return [line for _, line in self.said]
+        return [line for _, line in self.reported]
 
 
 def well() -> Listener:
     listener = Listener()
-    listener.look(None, 1.0)
+    listener.report(None, 1.0)
     return listener
 
 
 def test_a_lasting_problem_and_its_end_are_logged_once() -> None:
     listener = well()
-    listener.look("left: no frame for 250 ms", 0.14)
+    listener.report("left: no frame for 250 ms", 0.14)
     assert listener.lines == []
-    listener.look("left: no frame for 260 ms", 3.0)
+    listener.report("left: no frame for 260 ms", 3.0)
     assert listener.lines == ["left: no frame for 260 ms"]
-    listener.look(None, 0.4)
-    assert len(listener.said) == 1
-    listener.look(None, 0.2)
+    listener.report(None, 0.4)
+    assert len(listener.reported) == 1
+    listener.report(None, 0.2)
     assert listener.lines[1:] == ["left: works again"]
     assert listener.warned == ["left: no frame for 260 ms"]
-    listener.look(None, 3.0)
-    assert len(listener.said) == 2
+    listener.report(None, 3.0)
+    assert len(listener.reported) == 2
 
 
 def test_one_glitch_is_not_logged_but_three_in_a_second_are() -> None:
     listener = well()
     for _ in range(2):
-        listener.look("glitch", 0.02)
-        listener.look(None, 0.2)
+        listener.report("glitch", 0.02)
+        listener.report(None, 0.2)
     assert listener.lines == []
-    listener.look("glitch", 0.02)
+    listener.report("glitch", 0.02)
     assert listener.lines == ["left: glitch"]
     listener = well()
     for _ in range(6):
-        listener.look("glitch", 0.02)
-        listener.look(None, 0.6)
+        listener.report("glitch", 0.02)
+        listener.report(None, 0.6)
     assert listener.lines == []
 
 
 def test_a_second_problem_is_logged_too_but_with_a_limited_rate() -> None:
     listener = well()
-    listener.look("one", 1.0)
-    listener.look("other", 1.0)
+    listener.report("one", 1.0)
+    listener.report("other", 1.0)
     assert listener.lines == ["left: one", "left: other"]
     for _ in range(100):
-        listener.look("one", 0.01)
-        listener.look("other", 0.01)
-    assert len(listener.said) <= 2 + 7
+        listener.report("one", 0.01)
+        listener.report("other", 0.01)
+    assert len(listener.reported) <= 2 + 7
 
 
 @pytest.mark.parametrize(("wait_s", "lines"), [(1.9, 0), (2.1, 1)])
 def test_a_device_not_tried_yet_is_logged_after_the_start_time(wait_s: float, lines: int) -> None:
     listener = Listener()
-    listener.look("not tried yet", wait_s)
-    assert len(listener.said) == lines
+    listener.report("not tried yet", wait_s)
+    assert len(listener.reported) == lines
 
 
 def test_a_device_missing_at_the_start_is_logged_soon() -> None:
     listener = Listener()
-    listener.look("left: no DIGIT with serial D1; plug it in", 0.3)
+    listener.report("left: no DIGIT with serial D1; plug it in", 0.3)
     assert listener.lines == ["left: no DIGIT with serial D1; plug it in"]
 
 
@@ -103,8 +103,8 @@ def test_a_late_loop_is_logged_in_phases_without_a_fault(phase: Phase) -> None:
     listener = well()
     for late_s, lines in ((0.45, 0), (0.55, phase in (Phase.IDLE, Phase.RELEASED))):
         listener.now_s += late_s
-        listener.look(None, TICK_S, phase)
-        assert len(listener.said) == lines
+        listener.report(None, TICK_S, phase)
+        assert len(listener.reported) == lines
 
 
 def found(view: Observation, **not_ready: str) -> dict[str, str | None]:

@@ -32,7 +32,7 @@ def pipeline() -> ResumingPipeline:
 
 
 class Finger:
-    """What the keeper looks at of a finger: its pipeline and its newest answer."""
+    """What the saver reads of a finger: its pipeline and its newest estimate."""
 
     def __init__(self, pipe: ResumingPipeline) -> None:
         self.pipeline, self.serial, self.newest, self.count = pipe, "D1", None, 0
@@ -49,59 +49,59 @@ def decision(phase: Phase, holding: bool = True, now_s: float = 0.0) -> Any:
     return SimpleNamespace(phase=phase, observation=observation, now_s=now_s)
 
 
-async def settled(keeper: ReferenceSaver, *decisions: Any) -> None:
+async def settled(saver: ReferenceSaver, *decisions: Any) -> None:
     """However long the disk takes."""
     for one in decisions:
-        keeper.add_decision(one)
-        await wait_until(None, lambda: not keeper._disk.busy, 60.0, "the disk does not get done")
+        saver.add_decision(one)
+        await wait_until(None, lambda: not saver._disk.busy, 60.0, "the disk does not get done")
 
 
 async def test_a_reference_that_is_held_for_hours_stays_valid(tmp_path: Path) -> None:
     finger = Finger(pipeline())
-    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
+    saver = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
     finger.sees(20.0, frames=12)
-    noted = []
+    saved_at = []
     for minutes in range(0, 21, 4):
-        await settled(keeper, decision(Phase.HOLDING, now_s=60.0 * minutes))
-        noted.append(json.loads((tmp_path / "left.json").read_text())["saved_at"])
-    assert [one != before for before, one in pairwise(noted)] == [False, True, False, True, False]
+        await settled(saver, decision(Phase.HOLDING, now_s=60.0 * minutes))
+        saved_at.append(json.loads((tmp_path / "left.json").read_text())["saved_at"])
+    assert [one != before for before, one in pairwise(saved_at)] == [False, True, False, True, False]
 
 
 async def test_a_restart_continues_with_the_reference_and_reports_it(tmp_path: Path) -> None:
-    said: list[str] = []
+    reported: list[str] = []
     old = Finger(pipeline())
-    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": old}, said.append, said.append)  # type: ignore[dict-item]
+    saver = ReferenceSaver(ReferenceStore(tmp_path), {"left": old}, reported.append, reported.append)  # type: ignore[dict-item]
     old.sees(0.0)
-    await settled(keeper, decision(Phase.HOLDING))
+    await settled(saver, decision(Phase.HOLDING))
     old.sees(12.0)
-    await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
+    await settled(saver, decision(Phase.HOLDING), decision(Phase.HOLDING))
     written = json.loads((tmp_path / "left.json").read_text())
     assert written["rotation_deg"] == pytest.approx(12.0, abs=0.5)
 
     new = Finger(pipeline())
     restore_reference(new.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
     assert new.pipeline.stored_reference_state == "waiting"
-    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": new}, said.append, said.append)  # type: ignore[dict-item]
+    saver = ReferenceSaver(ReferenceStore(tmp_path), {"left": new}, reported.append, reported.append)  # type: ignore[dict-item]
     new.sees(15.0)
-    await settled(keeper, decision(Phase.REFERENCE), decision(Phase.HOLDING))
+    await settled(saver, decision(Phase.REFERENCE), decision(Phase.HOLDING))
     assert new.newest.estimate.rotation_deg == pytest.approx(15.0, abs=0.5)  # type: ignore[attr-defined]
-    assert said == ["left finger: continues with the reference from before the restart"]
+    assert reported == ["left finger: continues with the reference from before the restart"]
     assert json.loads((tmp_path / "left.json").read_text())["rotation_deg"] == pytest.approx(15.0, abs=0.5)
 
-    await settled(keeper, decision(Phase.IDLE, holding=False))
+    await settled(saver, decision(Phase.IDLE, holding=False))
     assert ReferenceStore(tmp_path).load("left", "D1") is None
 
 
 async def test_a_different_contact_is_reported_with_the_earlier_rotation(tmp_path: Path) -> None:
-    said: list[str] = []
+    reported: list[str] = []
     ReferenceStore(tmp_path).save("left", "D1", StoredReference(IMAGE, 12.0))
     finger = Finger(pipeline())
     restore_reference(finger.pipeline, ReferenceStore(tmp_path), "left", "D1", 0.0)
-    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    saver = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, reported.append, reported.append)  # type: ignore[dict-item]
     finger.sees(0.0, 20)
-    await settled(keeper, decision(Phase.HOLDING), decision(Phase.HOLDING))
-    assert len(said) == 1
-    assert "continues from 12° with a new reference" in said[0]
+    await settled(saver, decision(Phase.HOLDING), decision(Phase.HOLDING))
+    assert len(reported) == 1
+    assert "continues from 12° with a new reference" in reported[0]
     written = json.loads((tmp_path / "left.json").read_text())
     assert (written["rotation_deg"], written["earlier_rotation_deg"]) == (pytest.approx(0.0, abs=0.5), 12.0)
 
@@ -111,8 +111,8 @@ async def test_the_rotation_before_a_growing_contacts_reference_is_stored_apart(
     for k in range(40):
         shape = drawn("bar", 20.0 + 0.5 * max(k - 5, 0), scale=0.4 + 0.02 * k)
         finger.newest = SimpleNamespace(estimate=finger.pipeline.process(frame(shape, k)))  # type: ignore[assignment]
-    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
-    await settled(keeper, decision(Phase.HOLDING))
+    saver = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, [].append, [].append)  # type: ignore[dict-item]
+    await settled(saver, decision(Phase.HOLDING))
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert known.earlier_rotation_deg == pytest.approx(finger.pipeline.carried_deg)
@@ -125,12 +125,12 @@ async def test_a_full_disk_is_reported_once(tmp_path: Path) -> None:
         def save(self, finger: str, serial: str, known: StoredReference) -> None:
             raise OSError(28, "No space left on device")
 
-    said: list[str] = []
+    reported: list[str] = []
     finger = Finger(pipeline())
-    keeper = ReferenceSaver(Full(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    saver = ReferenceSaver(Full(tmp_path), {"left": finger}, reported.append, reported.append)  # type: ignore[dict-item]
     finger.sees(0.0)
-    await settled(keeper, *[decision(Phase.HOLDING)] * 4)
-    assert said == ["the references could not be saved for a restart: No space left on device; check the disk"]
+    await settled(saver, *[decision(Phase.HOLDING)] * 4)
+    assert reported == ["the references could not be saved for a restart: No space left on device; check the disk"]
 
 
 async def test_references_are_saved_again_on_a_repaired_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,40 +144,40 @@ async def test_references_are_saved_again_on_a_repaired_disk(tmp_path: Path, mon
         really_write(path, content)
 
     monkeypatch.setattr("slipguard.daemon.store.last_reference.write_atomically", write_atomically)
-    said: list[str] = []
+    reported: list[str] = []
     finger = Finger(pipeline())
-    keeper = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, said.append, said.append)  # type: ignore[dict-item]
+    saver = ReferenceSaver(ReferenceStore(tmp_path), {"left": finger}, reported.append, reported.append)  # type: ignore[dict-item]
     finger.sees(0.0)
-    await settled(keeper, *[decision(Phase.HOLDING)] * 2)
+    await settled(saver, *[decision(Phase.HOLDING)] * 2)
     assert disk["writes"] == 1, "not at once again"
     disk["full"] = False
-    keeper._disk._retry_at_s = 0.0  # the pause is over
-    await settled(keeper, *[decision(Phase.HOLDING)] * 4)
+    saver._disk._retry_at_s = 0.0  # the pause is over
+    await settled(saver, *[decision(Phase.HOLDING)] * 4)
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
-    assert said == [
+    assert reported == [
         "the references could not be saved for a restart: No space left on device; check the disk",
         "the references can be saved for a restart again",
     ]
     disk["full"] = True
-    await settled(keeper, *[decision(Phase.IDLE, holding=False)] * 2)
+    await settled(saver, *[decision(Phase.IDLE, holding=False)] * 2)
     assert ReferenceStore(tmp_path).load("left", "D1") is None, "deleting needs no room"
 
 
 def test_a_rotation_is_never_stored_with_the_image_of_another_reference(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shelf = ReferenceStore(tmp_path)
-    shelf.save_rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
+    store = ReferenceStore(tmp_path)
+    store.save_rotation("left", "D1", StoredReference(IMAGE, 7.0))  # never saved before: as if it were
     new = StoredReference(IMAGE[::-1].copy(), 0.0)
     with monkeypatch.context() as failing:
         failing.setattr("slipguard.daemon.store.last_reference.write_atomically", fails)
         with pytest.raises(OSError, match="No space left"):
-            shelf.save("left", "D1", new)
+            store.save("left", "D1", new)
     old = ReferenceStore(tmp_path).load("left", "D1")
     assert old is not None
     assert (old.rotation_deg, np.array_equal(old.image, IMAGE)) == (7.0, True)
-    shelf.save_rotation("left", "D1", new)
+    store.save_rotation("left", "D1", new)
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert (known.rotation_deg, np.array_equal(known.image, new.image)) == (0.0, True)
@@ -188,27 +188,27 @@ def fails(path: Path, content: bytes) -> None:
 
 
 def test_a_reference_is_valid_for_the_same_sensor_and_for_an_hour(tmp_path: Path) -> None:
-    shelf = ReferenceStore(tmp_path)
-    shelf.save("left", "D1", StoredReference(IMAGE, 7.0, 1.0))
+    store = ReferenceStore(tmp_path)
+    store.save("left", "D1", StoredReference(IMAGE, 7.0, 1.0))
     known = ReferenceStore(tmp_path).load("left", "D1")
     assert known is not None
     assert np.array_equal(known.image, IMAGE)
     assert (known.rotation_deg, known.earlier_rotation_deg) == (7.0, 1.0)
-    assert shelf.load("left", "D2") is None
-    assert shelf.load("right", "D1") is None
-    assert shelf.load("left", "D1", datetime.now(UTC) + VALID_FOR + timedelta(seconds=1)) is None
+    assert store.load("left", "D2") is None
+    assert store.load("right", "D1") is None
+    assert store.load("left", "D1", datetime.now(UTC) + VALID_FOR + timedelta(seconds=1)) is None
 
 
-@pytest.mark.parametrize("damage", ["no json", "half a picture", "no picture", "another picture"])
+@pytest.mark.parametrize("damage", ["no json", "half an image", "no image", "another image"])
 def test_a_damaged_reference_is_not_used(tmp_path: Path, damage: str) -> None:
-    shelf = ReferenceStore(tmp_path)
-    shelf.save("left", "D1", StoredReference(IMAGE, 7.0))
+    store = ReferenceStore(tmp_path)
+    store.save("left", "D1", StoredReference(IMAGE, 7.0))
     png = tmp_path / "left.png"
     if damage == "no json":
         (tmp_path / "left.json").write_text("{")
-    elif damage == "half a picture":
+    elif damage == "half an image":
         png.write_bytes(png.read_bytes()[:1000])
-    elif damage == "no picture":
+    elif damage == "no image":
         png.unlink()
     else:
         ReferenceStore(tmp_path).save("right", "D1", StoredReference(IMAGE[::-1].copy(), 0.0))

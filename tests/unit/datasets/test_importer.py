@@ -18,7 +18,7 @@ from slipguard.errors import InputError
 Image = NDArray[np.uint8]
 
 
-def picture(width: int = 240, height: int = 320) -> Image:
+def gel_image(width: int = 240, height: int = 320) -> Image:
     """Colors that differ between up and down, left and right."""
     x, y = np.meshgrid(np.linspace(0, 255, width), np.linspace(0, 255, height))
     return np.dstack([x, y, np.full_like(x, 60)]).astype(np.uint8)
@@ -64,7 +64,7 @@ def imported(tmp_path: Path, **options: bool) -> tuple[ImportResult, list[tuple[
     ],
 )
 def test_the_usual_layouts_are_understood(tmp_path: Path, image: str, mask: str) -> None:
-    put(tmp_path / "in" / image, picture())
+    put(tmp_path / "in" / image, gel_image())
     put(tmp_path / "in" / mask, disc())
     done, pairs = imported(tmp_path)
     assert done == ImportResult(1, 0, 0, ())
@@ -77,7 +77,7 @@ def test_the_usual_layouts_are_understood(tmp_path: Path, image: str, mask: str)
 
 def test_frames_of_two_splits_do_not_mix(tmp_path: Path) -> None:
     for split, value in (("train", 255), ("val", 0)):
-        put(tmp_path / "in" / split / "images" / "a.png", picture())
+        put(tmp_path / "in" / split / "images" / "a.png", gel_image())
         put(tmp_path / "in" / split / "masks" / "a.png", disc(value=value))
     _, pairs = imported(tmp_path)
     assert [bool(mask.any()) for _, mask in pairs] == [True, False]
@@ -87,30 +87,30 @@ def test_frames_of_two_splits_do_not_mix(tmp_path: Path) -> None:
     "mask", [disc(value=1), np.dstack([disc() * 0, disc(), disc() * 0]), disc().astype(np.uint16) * 257]
 )
 def test_masks_of_ones_of_one_colour_or_of_sixteen_bits(tmp_path: Path, mask: Image) -> None:
-    put(tmp_path / "in" / "a.png", picture())
+    put(tmp_path / "in" / "a.png", gel_image())
     put(tmp_path / "in" / "a_mask.png", mask)
     _, pairs = imported(tmp_path)
     assert np.array_equal(pairs[0][1], disc())
 
 
 def test_other_sizes_are_fitted(tmp_path: Path) -> None:
-    put(tmp_path / "in" / "large.png", picture(480, 640))
+    put(tmp_path / "in" / "large.png", gel_image(480, 640))
     put(tmp_path / "in" / "large_mask.png", disc(120, 160))
-    put(tmp_path / "in" / "side.png", np.ascontiguousarray(np.rot90(picture(), -1)))
+    put(tmp_path / "in" / "side.png", np.ascontiguousarray(np.rot90(gel_image(), -1)))
     put(tmp_path / "in" / "side_mask.png", np.ascontiguousarray(np.rot90(disc(), -1)))
-    put(tmp_path / "in" / "square.png", picture(256, 256))
+    put(tmp_path / "in" / "square.png", gel_image(256, 256))
     put(tmp_path / "in" / "square_mask.png", disc(256, 256))
     done, pairs = imported(tmp_path)
     assert done == ImportResult(3, 1, 1, ())
     wanted = disc() > 0
     for image, mask in pairs[:2]:
-        assert np.abs(image.astype(int) - picture()).max() <= 2
+        assert np.abs(image.astype(int) - gel_image()).max() <= 2
         assert np.count_nonzero((mask > 0) != wanted) < 0.04 * wanted.sum()  # one of them was of a quarter's size
     assert pairs[2][1][80, 60] == 255  # the middle of the disc stays where it is, measured in widths and heights
 
 
 def test_frames_without_contact_are_kept(tmp_path: Path) -> None:
-    put(tmp_path / "in" / "a.png", picture())
+    put(tmp_path / "in" / "a.png", gel_image())
     put(tmp_path / "in" / "a_mask.png", disc(value=0))
     imported(tmp_path)
     assert json.loads((tmp_path / "out" / "manifest.jsonl").read_text())["has_contact"] is False
@@ -119,7 +119,7 @@ def test_frames_without_contact_are_kept(tmp_path: Path) -> None:
 def spoilt(folder: Path, kind: str) -> None:
     """Three good pairs, and something wrong with what is called b."""
     for name in ("a", "b", "c"):
-        put(folder / "images" / f"{name}.png", picture())
+        put(folder / "images" / f"{name}.png", gel_image())
         put(folder / "masks" / f"{name}.png", disc())
     image, mask = folder / "images" / "b.png", folder / "masks" / "b.png"
     if kind == "cut":
@@ -135,7 +135,7 @@ def spoilt(folder: Path, kind: str) -> None:
     elif kind == "another shape":
         put(mask, disc(320, 240))
     elif kind == "many values":
-        put(mask, picture()[..., 0])
+        put(mask, gel_image()[..., 0])
 
 
 @pytest.mark.parametrize(
@@ -174,20 +174,20 @@ def test_folders_without_usable_pairs_are_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="already a data set of slipguard"):
         found_pairs(tmp_path / "own")
     put(tmp_path / "masks" / "a.png", disc())
-    put(tmp_path / "images" / "b.png", picture())
+    put(tmp_path / "images" / "b.png", gel_image())
     with pytest.raises(InputError, match="1 images and 1 masks, but no pair"):
         found_pairs(tmp_path)
-    put(tmp_path / "a.png", picture())
-    put(tmp_path / "images" / "a.png", picture())
+    put(tmp_path / "a.png", gel_image())
+    put(tmp_path / "images" / "a.png", gel_image())
     with pytest.raises(InputError, match="have the same name"):
         found_pairs(tmp_path)
 
 
 def test_the_commands_import_and_show(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for name in ("a", "b"):
-        put(tmp_path / "in" / "images" / f"{name}.png", picture(480, 640))
+        put(tmp_path / "in" / "images" / f"{name}.png", gel_image(480, 640))
         put(tmp_path / "in" / "masks" / f"{name}.png", disc(480, 640))
-    put(tmp_path / "flat.png", picture())
+    put(tmp_path / "flat.png", gel_image())
     done = slipguard(
         capfd, "dataset", "import", tmp_path / "in", "--out", tmp_path / "out", "--background", tmp_path / "flat.png"
     )

@@ -56,9 +56,9 @@ def test_equal_lists_of_backgrounds_give_equal_frames() -> None:
 @pytest.mark.campaign
 def test_the_manifest_describes_the_frames(many: list[RenderedSample]) -> None:
     for drawn in many:
-        for picture in (drawn.image, drawn.background):
-            assert picture.shape == (320, 240, 3)
-            assert picture.dtype == np.uint8
+        for image in (drawn.image, drawn.background):
+            assert image.shape == (320, 240, 3)
+            assert image.dtype == np.uint8
         assert drawn.has_contact == bool(label(drawn.truth).any())
         if drawn.view.depth_mm <= 0:
             assert not drawn.has_contact
@@ -134,9 +134,9 @@ def test_the_command_writes_a_data_set(tmp_path: Path, capsys: pytest.CaptureFix
         assert set(np.unique(mask)) <= {0, 255}
         assert bool(mask.any()) == line["has_contact"]
         assert np.array_equal(image, render_sample(index, None, "test").image)
-    picture = cv2.imread(str(sheet))
-    assert picture is not None
-    assert picture.shape == (480, 720, 3)
+    overview = cv2.imread(str(sheet))
+    assert overview is not None
+    assert overview.shape == (480, 720, 3)
 
 
 @pytest.mark.parametrize(
@@ -185,7 +185,7 @@ def test_two_processes_write_the_same_data_set_as_one(tmp_path: Path) -> None:
 def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no image"):
         read_backgrounds(tmp_path)
-    (tmp_path / "a.png").write_bytes(b"not a picture")
+    (tmp_path / "a.png").write_bytes(b"not an image")
     with pytest.raises(InputError, match=r"a\.png: not a readable image"):
         read_backgrounds(tmp_path)
     (tmp_path / "a.png").write_bytes(b"")

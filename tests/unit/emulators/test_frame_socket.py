@@ -21,7 +21,7 @@ from slipguard_drivers.socket_camera import PIXEL_BYTES_MAX, FrameStreamError, S
 from slipguard_emulators.cell.frame_server import FrameServer, pack_frame
 
 GREETING = b'{"frames": 1, "serial": "T-1", "fps": 60}\n'
-PICTURE = np.random.default_rng(3).integers(0, 256, (320, 240, 3), np.uint8)
+GEL_IMAGE = np.random.default_rng(3).integers(0, 256, (320, 240, 3), np.uint8)
 
 
 def sensor_at(path: Path) -> SocketSensor:
@@ -60,9 +60,9 @@ async def script(tmp_path: Path) -> AsyncIterator[Script]:
 
 
 def test_the_header_is_28_bytes_in_the_stated_order() -> None:
-    packet = pack_frame(PICTURE, 12.5, 7)
+    packet = pack_frame(GEL_IMAGE, 12.5, 7)
     assert packet[:28] == b"SGF1" + struct.pack("<HHIdQ", 240, 320, 230400, 12.5, 7)
-    assert packet[28:] == PICTURE.tobytes()
+    assert packet[28:] == GEL_IMAGE.tobytes()
 
 
 @given(st.binary(min_size=28, max_size=28))
@@ -101,18 +101,18 @@ async def test_a_greeting_without_end_times_out(script: Script) -> None:
 
 
 async def test_a_frame_is_transmitted_unchanged(script: Script) -> None:
-    script.lines = [GREETING, pack_frame(PICTURE, 5.25, 41)]
+    script.lines = [GREETING, pack_frame(GEL_IMAGE, 5.25, 41)]
     sensor = sensor_at(script.path)
     await sensor.open()
     frame = await sensor.next_frame()
-    assert np.array_equal(frame.image, PICTURE)
+    assert np.array_equal(frame.image, GEL_IMAGE)
     assert (frame.captured_at_s, frame.sequence, sensor.serial, sensor.fps) == (5.25, 41, "T-1", 60.0)
     await sensor.close()
 
 
 @pytest.mark.parametrize("captured_at_s", [math.nan, math.inf])
 async def test_an_invalid_capture_time_is_a_damaged_frame(script: Script, captured_at_s: float) -> None:
-    script.lines = [GREETING, pack_frame(PICTURE, captured_at_s, 1)]
+    script.lines = [GREETING, pack_frame(GEL_IMAGE, captured_at_s, 1)]
     sensor = sensor_at(script.path)
     await sensor.open()
     with pytest.raises(FrameCorrupt, match="captured at"):
@@ -141,7 +141,7 @@ async def test_a_client_that_lost_its_position_disconnects(script: Script, garba
 
 
 async def test_a_camera_accepts_one_client(tmp_path: Path) -> None:
-    cv2.imwrite(str(tmp_path / "0.png"), PICTURE)
+    cv2.imwrite(str(tmp_path / "0.png"), GEL_IMAGE)
     server = FrameServer(
         tmp_path / "s.sock", ReplaySensor(ReplaySensor.Settings(path=tmp_path), DriverContext("x")), 60.0
     )

@@ -82,7 +82,7 @@ def test_rest_must_last_twice_as_long_as_the_last_change() -> None:
     assert not still.at_rest(1.5 + 2.9)
     assert still.at_rest(1.5 + 3.1)
     still.add(blocks, NEAR, 60.0, unchanged=False)
-    assert not still.at_rest(60.0 + QUIET_MAX_S + 1.0)  # one picture alone is too noisy to compare with
+    assert not still.at_rest(60.0 + QUIET_MAX_S + 1.0)  # one image alone is too noisy to compare with
     assert not still.at_rest(59.0)
 
 
@@ -94,7 +94,7 @@ def test_a_glitch_does_not_end_rest_and_a_lasting_change_does() -> None:
     assert not still.at_rest(2.01)
     assert not still.restored
     assert still.unchanged(same)
-    assert still.restored  # what was measured on the other picture is not of this one
+    assert still.restored  # what was measured on the other image is not of this one
     assert still.at_rest(2.02)
     assert still.unchanged(same)
     assert not still.restored

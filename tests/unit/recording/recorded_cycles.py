@@ -31,7 +31,7 @@ def judged_at(now_s: float) -> m.FrameRecord:
     )
 
 
-def picture(seed: int = 0) -> np.ndarray:
+def gel_image(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 255, (320, 240, 3), np.uint8)
 
 
@@ -39,7 +39,7 @@ def written(path: Path, count: int = 200) -> RecordingFile:
     file = RecordingFile(path, CLOCK, HEADER, ControlState(), 0.0)
     for number in range(count):
         at_s = number / 60
-        file.image("left", at_s, cv2.imencode(".jpg", picture(number))[1].tobytes(), "jpeg")
+        file.image("left", at_s, cv2.imencode(".jpg", gel_image(number))[1].tobytes(), "jpeg")
         file.frame("left", at_s, judged_at(at_s))
         file.cycle(tick_at(at_s))
         file.log(at_s, "info", f"line {number}")

@@ -74,7 +74,7 @@ def test_a_frame_measured_by_its_texture_is_recorded_without_a_mask() -> None:
     patch = find_patch(np.ones((160, 120), np.float32), 0.5, 100, 2.0)
     for segmented in (True, False):
         estimate = Estimate(1, 1.0, 1.0, True, 4000, "fused", segmented=segmented)
-        observer.add_frame("left", ProcessedFrame(Frame(picture(), 1.0, 1), 1.0, False, False, estimate, None, patch))
+        observer.add_frame("left", ProcessedFrame(Frame(gel_image(), 1.0, 1), 1.0, False, False, estimate, None, patch))
     assert [one.mask is not None for one in recorded] == [True, False]
     assert b"segmented" not in m.FRAME_RECORD.encode(recorded[1].record)
 
@@ -255,7 +255,7 @@ def test_any_other_failure_stops_the_recording_but_not_its_thread(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("slipguard.recording.recorder.RETRY_S", 0.0)
-    said: list[str] = []
+    reported: list[str] = []
     headers = iter((ValueError("a model\nthat is none"), ValueError("still none"), HEADER))
 
     def header() -> RecordingHeader:
@@ -264,31 +264,31 @@ def test_any_other_failure_stops_the_recording_but_not_its_thread(
             raise one
         return one
 
-    one = Recorder(Ring(tmp_path, LIMITS), RecorderSettings("none"), lambda: CLOCK, header, said.append)
+    one = Recorder(Ring(tmp_path, LIMITS), RecorderSettings("none"), lambda: CLOCK, header, reported.append)
     assert not one.dead
     one.start()
     for number in range(4):
         one.add(RecordedCycle(tick_at(number / 10), ControlState()))
     one.stop(20.0)
-    assert "recording stopped: ValueError: a model that is none" in said[0]
-    assert said[1:] == ["recording again"]
+    assert "recording stopped: ValueError: a model that is none" in reported[0]
+    assert reported[1:] == ["recording again"]
     assert (one.stops, one.stopped, one.dead) == (1, None, True)  # it was ended
     assert len(list((tmp_path / "ring").iterdir())) == 1
 
 
 def test_a_full_disk_stops_the_recording_with_one_message(tmp_path: Path) -> None:
-    said: list[str] = []
+    reported: list[str] = []
     one = Recorder(
         Ring(tmp_path, LIMITS),
         RecorderSettings("jpeg"),
         lambda: CLOCK,
         header=lambda: HEADER,
-        on_trouble=said.append,
+        on_trouble=reported.append,
         opener=lambda path: FullDisk(path, 300_000),  # type: ignore[arg-type,return-value]
     )
     play(one, np.arange(0.0, 3.0, 0.02))
-    assert len(said) == 1
-    assert "No space left on device" in said[0]
+    assert len(reported) == 1
+    assert "No space left on device" in reported[0]
     assert one.stopped is not None
     (path,) = (tmp_path / "ring").iterdir()
     assert any(isinstance(item.value, m.CycleRecord) for item in open_recording(path).items())
@@ -312,4 +312,4 @@ def test_png_keeps_every_pixel(tmp_path: Path) -> None:
     one.stop(20.0)
     (path,) = (tmp_path / "ring").iterdir()
     pixels = [item.value.pixels() for item in open_recording(path).items() if isinstance(item.value, StoredImage)]
-    assert np.array_equal(pixels[0], picture(5))
+    assert np.array_equal(pixels[0], gel_image(5))

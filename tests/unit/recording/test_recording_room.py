@@ -24,7 +24,7 @@ from slipguard.recording.writer import RecordingClock, open_new
 
 MB = 2**20
 LIMITS = RingLimits(100, 10**9, 10**9)
-PICTURES = [picture(seed) for seed in range(8)]
+GEL_IMAGES = [gel_image(seed) for seed in range(8)]
 
 
 @dataclass
@@ -57,7 +57,7 @@ class Playing:
     """A recorder that is handed cycles one by one, with an image each, and has written each before the next."""
 
     recorder: Counted
-    said: list[str]
+    reported: list[str]
 
     def play(self, from_s: float, to_s: float, keep_at: float | None = None) -> None:
         for now_s in np.arange(from_s, to_s, 0.1).tolist():
@@ -76,12 +76,12 @@ def playing(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Playing]:
     def start(
         ring: Ring, opener: Callable[[Path], object] = open_new, clock: RecordingClock = CLOCK, **settings: float
     ) -> Playing:
-        said: list[str] = []
+        reported: list[str] = []
         asked = RecorderSettings("jpeg", **settings)  # type: ignore[arg-type]
-        one = Counted(ring, asked, lambda: clock, lambda: HEADER, said.append, opener)  # type: ignore[arg-type]
+        one = Counted(ring, asked, lambda: clock, lambda: HEADER, reported.append, opener)  # type: ignore[arg-type]
         one.taken = threading.Semaphore(0)
         one.start()
-        return Playing(one, said)
+        return Playing(one, reported)
 
     return start
 
@@ -105,7 +105,7 @@ def test_the_ring_frees_the_reserve_of_the_disk(tmp_path: Path, playing: Callabl
     one = playing(Ring(tmp_path, LIMITS, disk.usage))
     one.play(0.0, 12.0)  # some 7 MB
     one.recorder.stop()
-    assert one.said == []
+    assert one.reported == []
     assert disk.free_least > 0.8 * MB
     held = sorted((tmp_path / "ring").iterdir())
     assert 3 <= len(held) <= 5, "the newest stay"
@@ -122,17 +122,17 @@ def test_a_disk_filled_by_others_stops_the_recording_once_and_the_file_is_comple
     assert len(names(tmp_path / "ring")) == 6
     disk.others = 20 * MB - 100_000
     one.play(2.8, 2.9)
-    assert len(one.said) == 1
-    assert "MB of the disk are free (limit 1 MB)" in one.said[0]
+    assert len(one.reported) == 1
+    assert "MB of the disk are free (limit 1 MB)" in one.reported[0]
     one.play(2.9, 4.0)
     assert names(tmp_path / "ring") == [], "all of it, for the disk is still too full"
     disk.others = 18 * MB + 100_000
     one.play(4.0, 5.0)
-    assert len(one.said) == 1, "room for a moment is none to begin with"
+    assert len(one.reported) == 1, "room for a moment is none to begin with"
     disk.others = 10 * MB
     one.play(5.0, 5.2)
     one.recorder.stop()
-    assert one.said[1:] == ["recording again"]
+    assert one.reported[1:] == ["recording again"]
     assert one.recorder.stops == 1
     (path,) = (tmp_path / "ring").iterdir()
     assert whole(path)
@@ -161,7 +161,7 @@ def test_on_a_full_disk_the_ring_is_freed_first(tmp_path: Path, playing: Callabl
     one = playing(Ring(tmp_path, LIMITS), opener=lambda path: FullDisk(path, next(room)))
     one.play(0.0, 2.0)
     one.recorder.stop()
-    assert one.said == []
+    assert one.reported == []
     left = names(tmp_path / "ring")
     assert len(left) == 4
     assert left[:2] == ["1.mcap", "2.mcap"], "the oldest made room"
@@ -184,7 +184,7 @@ def test_a_recording_that_cannot_begin_leaves_no_file(
     one = playing(ring, opener=opener)
     one.play(0.0, 3.0)
     assert names(tmp_path / "ring") == good
-    assert len(one.said) == 1
+    assert len(one.reported) == 1
     works = True
     one.play(3.0, 3.2)
     one.recorder.stop()
@@ -226,9 +226,9 @@ def test_a_slip_while_nothing_is_recorded_keeps_earlier_and_later_files(
     room = iter((10**9, 500_000, *[0] * 6, *[10**9] * 9))
     one = playing(Ring(tmp_path, LIMITS), opener=lambda path: Broken(path, errno.EIO, next(room)), segment_s=1.0)
     one.play(0.0, 3.0, keep_at=2.0)
-    assert one.said
+    assert one.reported
     one.recorder.stop()
-    assert one.said[-1] == "recording again"
+    assert one.reported[-1] == "recording again"
     assert names(tmp_path / "ring") == []
     times = [now_s for path in sorted((tmp_path / "kept").iterdir()) for now_s in ticks(path)]
     assert min(times) == 0.0
@@ -287,5 +287,5 @@ def test_a_disk_that_reports_no_size_is_usable(tmp_path: Path, playing: Callable
     one = playing(Ring(tmp_path, LIMITS, lambda path: (0, 0, 0)))
     one.play(0.0, 1.0)
     one.recorder.stop()
-    assert one.said == []
+    assert one.reported == []
     assert len(names(tmp_path / "ring")) == 1
