@@ -224,7 +224,8 @@ class Pipeline:
         estimate = self._estimate(frame, patch, rotation, shift, orientation_deg, timer)
         timer.mark("track")
         self._note_measured(blocks, near, unchanged, estimate)
-        if rotation.rotation_deg is not None and shift is not None:
+        measured = rotation.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
+        if measured and shift is not None:
             away = (~blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))).astype(np.float32)
             self._whole = _WholeContact(blocks, near, away, estimate, quality.difference_levels)
         return estimate

@@ -155,7 +155,7 @@ class RotationMeter:
         elif texture_map is not None and reference.texture is not None:
             reference.texture.take_key_if_due(texture_map, patch, found)
         if texture_map is not None and reference.texture is not None and found is None:
-            if lost and reference.texture.period_deg is None:
+            if lost and not reference.texture.round and reference.texture.period_deg is None:
                 found = reference.texture.search_everywhere(texture_map, patch, predicted_deg)
                 if found.rotation.rotation_deg is not None:
                     predicted_deg = found.rotation.rotation_deg
@@ -201,19 +201,21 @@ class RotationMeter:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
 
         It is enough while the texture has moved as a whole: neither its scale, its strength nor its correlation with
-        the reference have changed since `measure`. If it is not certain, it shows the rotation since then.
+        the reference have changed since `measure`. If it is not certain, it shows the rotation since then; a round one
+        shows the shift since then, and its contact stays round.
         """
         reference, before = self.reference, self._segmented
         if reference is None or reference.texture is None or before is None or self._tracker.offered_deg is not None:
             return None
-        if self._choice.provisional or self._choice.carries:
+        if self._settings.estimator not in ("fused", "registration") or self._choice.carries:
             return None
-        if self._settings.estimator not in ("fused", "registration") or now_s - self._tracker.known_at_s > GAP_S:
+        lost = now_s - self._tracker.known_at_s > GAP_S
+        if (lost or self._choice.provisional) and not reference.texture.round:
             return None
         predicted_deg = self._predicted_deg(reference, now_s)
         self._note_gap(now_s)
         texture_map = self._read_texture(reference, image, patch)
-        if texture_map is None or reference.texture.ambiguous:
+        if texture_map is None or (reference.texture.ambiguous and not reference.texture.round):
             return None
         found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None), take_key=False)
         self._tried = now_s, texture_map, found

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from slipguard.perception.declined import DeclineReason
 from slipguard.perception.rotation.fusion import RotationEstimate, is_certain
 from slipguard.perception.rotation.texture_registration import TextureFit
 from slipguard.perception.rotation.texture_tracker import TrackedTexture
@@ -39,12 +40,15 @@ class SegmentedTexture:
         """Return the rotation since the reference in a later frame of which only the texture is known.
 
         A certain texture shows it by itself. An uncertain one shows the rotation since the network ran, because its
-        error is nearly the same as then. None if it has not moved as a whole, or is too uncertain even for that.
+        error is nearly the same as then. A round contact stays declined. None if it has not moved as a whole, or is too
+        uncertain even for that.
         """
         if found.fit is None or not self._moved_as_a_whole(found.fit):
             return None
         if found.smooth is not None and now_s - self.captured_at_s > SMOOTH_S:
             return None
+        if found.rotation.rotation_deg is None and (self.fused.declined or "").startswith(DeclineReason.ROUND):
+            return self.fused
         return found.rotation if is_certain(found.rotation) else self._carried_on(found.rotation)
 
     def _moved_as_a_whole(self, fit: TextureFit) -> bool:

@@ -90,7 +90,14 @@ class ShiftMeter:
             found: Its texture; None if the reference has none.
             contour_px: Shift of the contour, frame pixels.
         """
-        self._beyond_px = (0.0, 0.0)
+        measured = self._measure(now_s, patch, found, contour_px)
+        (x, y), (own_x, own_y) = measured.shift_px or (0.0, 0.0), (found and found.shift_px) or (0.0, 0.0)
+        self._beyond_px = (x - own_x, y - own_y)
+        return measured
+
+    def _measure(
+        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
+    ) -> ShiftMeasurement:
         if patch is self._patch:  # the reference's own frame takes long enough without the search for a period
             return ShiftMeasurement((0.0, 0.0))
         if self.period is not None:
@@ -98,8 +105,9 @@ class ShiftMeter:
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
         if self._template is None or found is None:
             return ShiftMeasurement(contour_px)
-        rotation_deg = found.rotation.rotation_deg or 0.0
-        shift_px = contour_px if found.shift_px is None else found.shift_px
+        rotation_deg, shift_px = found.rotation.rotation_deg, found.shift_px
+        if rotation_deg is None or shift_px is None:
+            rotation_deg, shift_px = rotation_deg or 0.0, contour_px
         along = found.smooth or self._suspect_direction(patch, shift_px)
         if along is None:
             return ShiftMeasurement(shift_px)
@@ -108,11 +116,10 @@ class ShiftMeter:
             return ShiftMeasurement(shift_px)
         if offset_px is None:  # only the contour is left: a taper shows a shift, a cylinder does not
             offset_px = (contour_px[0] - shift_px[0]) * along[0] + (contour_px[1] - shift_px[1]) * along[1]
-        self._beyond_px = (offset_px * along[0], offset_px * along[1])
-        return ShiftMeasurement((shift_px[0] + self._beyond_px[0], shift_px[1] + self._beyond_px[1]))
+        return ShiftMeasurement((shift_px[0] + offset_px * along[0], shift_px[1] + offset_px * along[1]))
 
     def follow(self, now_s: float, found: TrackedTexture) -> ShiftMeasurement:
-        """Return the shift in a frame without a segmented contact; its ends are where they were in the texture."""
+        """Return the shift in a frame without a segmented contact, which has moved with its texture since then."""
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))

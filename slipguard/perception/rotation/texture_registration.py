@@ -32,6 +32,8 @@ VISIBLE_MIN = 0.45
 """Smallest share of the reference's texture within the image."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Weak priors: rotation (rad), shift from the start (texture pixels), scale and gain (shares)."""
+_ROUND_PRIOR_STD = np.array([1e-6, 6.0, 6.0, 0.1, 0.5])
+"""The same for a round texture, whose rotation is held."""
 NOISE_LEFT = 0.85
 """Share of the squared noise of two images that a robust fit leaves."""
 DEFORMED = 0.1
@@ -149,12 +151,14 @@ class TextureFit:
 
 
 def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: TexturePose) -> TextureFit:
-    """Register a texture map to the template, from a start within some degrees and pixels."""
-    if template.round_reason is not None:
-        return TextureFit(start, 180.0, 180.0, 180.0, 0.0, 0.0, 1.0, 0.0, template.round_reason)
+    """Register a texture map to the template, from a start within some degrees and pixels.
+
+    A round texture shows a shift and no rotation: it stays at the start, and is declined.
+    """
     fields = np.empty((_UNMOVED + 1, template.value.size), np.float32)
     fields[_TEMPLATE] = template.fields
     difference, pose = fields[_DIFFERENCE], start
+    prior = _CORRELATED / (_PRIOR_STD if template.round_reason is None else _ROUND_PRIOR_STD) ** 2
     for _ in range(ITERATIONS_MAX):
         visible = _sample(template, texture_map, pose, difference)
         difference -= np.float32(pose.gain) * template.value
@@ -162,7 +166,7 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
         noise2 = max(float(visible @ square) / max(float(visible.sum()), 1.0), 1e-6)
         weight = visible / (1.0 + square * np.float32(1.0 / (ROBUST**2 * noise2)))
         products, fitted = _products(fields[: _GAIN + 1], weight), pose
-        normal, pose, converged = _improved(products, fitted, start, noise2)
+        normal, pose, converged = _improved(products, fitted, start, prior * noise2)
         if converged:
             break
     left, top = (round(at - inside) for at, inside in zip(template.center_px, template.origin_px, strict=True))
@@ -201,7 +205,7 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
         alike=alike,
         deformed=1.0 - min(max(both2 / math.sqrt(clean2 * clean_now2), 0.0), 1.0),
         strength=math.sqrt(clean2),
-        declined=_declined(float(visible.sum()) / visible.size, alike, uneven),
+        declined=template.round_reason or _declined(float(visible.sum()) / visible.size, alike, uneven),
         static_bias_deg=bias * abs(pose.rotation_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
         ghost=replace(ghost, pull_deg=ghost.pull_deg / pose.gain),
         uneven=uneven,
@@ -211,12 +215,11 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
 
 
 def _improved(
-    products: NDArray[np.float64], pose: TexturePose, start: TexturePose, noise2: float
+    products: NDArray[np.float64], pose: TexturePose, start: TexturePose, prior: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], TexturePose, bool]:
     """Return the normal equations of one step, the pose after it, and whether the step was small."""
     gains = _gains(pose)
     gradient = products[_MOTION, _DIFFERENCE] * gains
-    prior = _CORRELATED * noise2 / _PRIOR_STD**2
     rotation = math.radians(pose.rotation_deg)
     c, s = math.cos(rotation), math.sin(rotation)
     away_x, away_y = pose.dx_px - start.dx_px, pose.dy_px - start.dy_px

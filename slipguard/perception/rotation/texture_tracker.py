@@ -19,6 +19,7 @@ from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
 from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
 from slipguard.perception.rotation.texture_registration import (
+    ALIKE_MIN,
     APART_DEG,
     TextureFit,
     TexturePose,
@@ -118,6 +119,11 @@ class TextureTracker:
         return self._memory.certain
 
     @property
+    def round(self) -> bool:
+        """Whether the texture shows a shift only."""
+        return self._first.round_reason is not None
+
+    @property
     def period_deg(self) -> float | None:
         """The rotation after which the texture repeats, None if it does not; computed on first use."""
         if self._period is None:
@@ -142,7 +148,7 @@ class TextureTracker:
 
         take_key: this may become the key; not if the patch is an earlier frame's.
         """
-        if not self.ambiguous:
+        if self.round or not self.ambiguous:
             return self._search(texture_map, patch, predicted_deg, None, self._gap_deg, take_key)
         period = self.period_deg or 0.0
         if axis.rotation_deg is None or axis.sigma_deg is None or AGREE_SIGMAS * axis.sigma_deg >= 0.5 * period:
@@ -158,8 +164,6 @@ class TextureTracker:
         texture fits nearly as well at another rotation, the one before the gap included.
         """
         first = self._first
-        if first.round_reason is not None:
-            return TrackedTexture(RotationEstimate(None, None, first.round_reason), 1.0)
         x, y = (at / REDUCTION - center for at, center in zip(patch.center_px, first.center_px, strict=True))
         starts = [replace(self._pose, rotation_deg=predicted_deg)]
         starts += [TexturePose(found_deg, x, y) for found_deg in likely_rotations_deg(first, texture_map, (x, y))]
@@ -189,7 +193,12 @@ class TextureTracker:
     ) -> TrackedTexture:
         """Search near the contour's rotation if that is far from the first result; return the better result."""
         before_deg = predicted_deg if found.rotation.rotation_deg is None else found.rotation.rotation_deg
-        if self.ambiguous or contour.rotation_deg is None or abs(contour.rotation_deg - before_deg) <= RETRY_DEG:
+        if (
+            self.round
+            or self.ambiguous
+            or contour.rotation_deg is None
+            or abs(contour.rotation_deg - before_deg) <= RETRY_DEG
+        ):
             return found
         dx, dy = contour_shift_px
         start = TexturePose(contour.rotation_deg, dx / REDUCTION, dy / REDUCTION)
@@ -225,6 +234,9 @@ class TextureTracker:
             self._memory.update(fit.ghost)
         found = self._tracked(self._first, fit, (fit.pose.dx_px, fit.pose.dy_px), fit.pose.rotation_deg, 0.0)
         found = replace(found, fit=fit)
+        if self.round:
+            self._pose = fit.pose if fit.alike > ALIKE_MIN else TexturePose()
+            return found
         sigma = found.rotation.sigma_deg
         by_key = False
         own_sigma = sigma_deg(fit)  # possible memory of the gel does not call for a key, which it would spoil too
@@ -286,13 +298,15 @@ class TextureTracker:
         rotation_deg: float,
         key_sigma_deg: float,
     ) -> TrackedTexture:
+        shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
+        if template.round_reason is not None:
+            return TrackedTexture(RotationEstimate(None, None, template.round_reason), 1.0, shift)
         if fit.declined is not None:
             no_rotation = TrackedTexture(RotationEstimate(None, None, fit.declined), fit.deformation)
             return replace(no_rotation, uneven_deg=fit.uneven_deg, twist_deg=fit.twist_deg, lean=fit.lean)
         if self._memory.too_strong:
             detail = f"share {self._memory.share:.2f}, limit {SHARE_MAX:g}"
             return TrackedTexture(RotationEstimate(None, None, explain(DeclineReason.GEL_MEMORY, detail)), 1.0)
-        shift = (REDUCTION * shift_px[0], REDUCTION * shift_px[1])
         smooth = None if template.smooth is None else rotated(template.smooth, fit.pose.rotation_deg)
         if self._first.smooth is not None:  # a shift invisible at the reference is invisible by any key
             smooth = rotated(self._first.smooth, rotation_deg)

@@ -35,11 +35,11 @@ class CountedSegmenter(Segmenter):
 
 
 def measured(
-    name: str, frames: int, angle_deg: Callable[[float], float], growth: float = 0.0
+    name: str, frames: int, angle_deg: Callable[[float], float], growth: float = 0.0, slide_mm_s: float = 0.0
 ) -> tuple[int, list[tuple[Estimate, float]]]:
     """Return how often the network ran after the first frames, and each estimate since then with the true rotation.
 
-    growth: by which share the object sinks deeper within the first 0.3 s.
+    growth: by which share the object sinks deeper within the first 0.3 s. slide_mm_s: how fast it moves up.
     """
     unit = random_unit(np.random.default_rng(3))
     camera, segmenter = GelCamera(unit, seed=3), CountedSegmenter()
@@ -50,7 +50,7 @@ def measured(
             first = segmenter.calls
         at_s = max(k - FIRST_FRAMES, 0) / FPS
         rotation_deg, depth_mm = angle_deg(at_s), press_mm * (1.0 + growth * min(at_s / 0.3, 1.0))
-        view = GelView(name, 0.5, 0.5, 30.0 + rotation_deg, depth_mm)
+        view = GelView(name, 0.5, 0.5 + slide_mm_s * at_s, 30.0 + rotation_deg, depth_mm)
         estimate = pipeline.process(Frame(camera.draw(view), k / FPS, k))
         if k >= FIRST_FRAMES:
             found.append((estimate, rotation_deg))
@@ -83,3 +83,12 @@ def test_a_smooth_shaft_runs_the_network_on_every_second_frame() -> None:
     for estimate, rotation_deg in found:
         if estimate.rotation_deg is not None and estimate.sigma_deg is not None:
             assert abs(estimate.rotation_deg - rotation_deg) < 3.0 * estimate.sigma_deg
+
+
+def test_a_round_contact_runs_few_networks_and_its_shift_is_still_measured() -> None:
+    calls, found = measured("ring", 24, lambda _: 0.0, slide_mm_s=4.0)
+    assert calls <= 12
+    shifts = [estimate.shift_mm[1] for estimate, _ in found if estimate.shift_mm is not None]
+    assert len(shifts) == len(found)
+    assert all(estimate.decline_reason == "round contact" for estimate, _ in found)
+    assert shifts[-1] - shifts[0] == pytest.approx(4.0 * 23 / FPS, abs=0.15)
