@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from observations import arm, fused, gripper, observation
-from records import grasp_state
+from records import changed, grasp_state
 
 from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.params import GuardParams
@@ -77,6 +77,27 @@ CASES: list[tuple[str, GraspState, Callable[[float], Observation], FaultCode | N
     (
         "conflict",
         HOLDING,
+        lambda t: observation(t, fused=fused(at_s=t, conflict="x")),
+        FaultCode.ESTIMATE_UNTRUSTED,
+        1.0,
+    ),
+    (
+        "shifts contradict",
+        HOLDING,
+        lambda t: observation(t, fused=changed(fused(at_s=t), shift_conflict="x")),
+        FaultCode.ESTIMATE_UNTRUSTED,
+        1.0,
+    ),
+    (
+        "shifts contradict in a grip that was tightened",
+        grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, first_n=20.0),
+        lambda t: observation(t, fused=changed(fused(at_s=t), shift_conflict="x")),
+        None,
+        3.0,
+    ),
+    (
+        "conflict in a grip that was tightened",
+        grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, first_n=20.0),
         lambda t: observation(t, fused=fused(at_s=t, conflict="x")),
         FaultCode.ESTIMATE_UNTRUSTED,
         1.0,
