@@ -49,7 +49,7 @@ class GuardTuning(_Table):
     creep_deg: Annotated[float, Field(ge=1.0, le=30.0)] = 6.0
     """A rotation beyond this is slip at any rate."""
     slip_mm: Annotated[float, Field(ge=0.1, le=5.0)] = 0.5
-    """A motion below this, in any direction, is never translational slip."""
+    """A motion below this, in any direction, is never translational slip; half of it in a gel known to be stiff."""
     slip_rate_mm_s: Annotated[float, Field(ge=0.1, le=50.0)] = 3.0
     """Translational slip is at least this fast."""
     creep_mm: Annotated[float, Field(ge=0.2, le=10.0)] = 2.0

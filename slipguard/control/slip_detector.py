@@ -33,6 +33,8 @@ and the previous frame already showed BEGUN_SHARE of the threshold. A leap in on
 PLAIN_SLIDE_TIMES = 2.0
 """A fast slide that both fingers see beyond this multiple of its threshold needs no second frame: an object in free
 fall is lost after 50 ms. It does not matter how often the grip was tightened before."""
+STIFF_SHARE = 0.5
+"""A slide counts from this share of `slip_mm` on where the gel bears less than that: a stiff one does not swing."""
 BEGUN_SHARE = 0.25
 APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
@@ -122,10 +124,11 @@ def assess_slip(
     slip_mm, rate_mm_s = _slide(memory, fused, only_outward)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
-    translates = slip_mm > tuning.slip_mm and (fast or slip_mm > tuning.creep_mm)
+    least_mm = min(max(STIFF_SHARE * tuning.slip_mm, borne.mm), tuning.slip_mm)
+    translates = slip_mm > least_mm and (fast or slip_mm > tuning.creep_mm)
     translates = translates and not elastic
     both = len(fused.shift_fingers) == 2 and fused.shift_conflict is None
-    if translates and fast and slip_mm > PLAIN_SLIDE_TIMES * tuning.slip_mm and both:
+    if translates and fast and slip_mm > PLAIN_SLIDE_TIMES * least_mm and both:
         quick_frames = max(quick_frames, tuning.confirm_frames)
     slides = fused.slides and not only_outward
     translates = translates or slides

@@ -7,7 +7,7 @@ import pytest
 from observations import arm, fused
 from records import changed, slip_memory
 
-from slipguard.control.needed_force import ElasticMotion
+from slipguard.control.needed_force import UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM, ElasticMotion
 from slipguard.control.params import GuardParams
 from slipguard.control.slip_baselines import SWITCH_MAX_DEG, SWITCH_SHIFT_MM, ShiftFilter
 from slipguard.control.slip_detector import NO_MOTION, SlipAssessment, assess_slip, growth, threshold_deg
@@ -463,7 +463,9 @@ def test_slow_slip_is_not_hidden_by_it_where_the_rate_is_unknown() -> None:
 
 
 def test_a_returning_finger_without_shift_causes_no_slip() -> None:
-    watched = Watched().rest()
+    watched = Watched()
+    watched.borne = ElasticMotion(UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM)
+    watched.rest()
     watched.left_alone, watched.shift_mm = True, None  # type: ignore[assignment]
     assert not any(watched.see(0.3).slipping for _ in range(5))
     watched.left_alone, watched.shift_mm = False, 0.4
@@ -530,8 +532,23 @@ def test_contradicting_shifts_do_not_switch_the_rotation_checks_off() -> None:
     assert watched.see(0.6).slipping
 
 
-@pytest.mark.parametrize(("fingers", "slid_mm", "slips"), [(2, 1.2, True), (2, 0.8, False), (1, 1.2, False)])
-def test_a_plain_slide_that_both_fingers_see_needs_one_frame(fingers: int, slid_mm: float, slips: bool) -> None:
+@pytest.mark.parametrize(
+    ("borne_mm", "fingers", "slid_mm", "slips"),
+    [
+        (0.0, 2, 0.6, True),
+        (0.0, 2, 0.4, False),
+        (0.0, 1, 0.6, False),
+        (0.4, 2, 0.9, True),
+        (0.4, 2, 0.7, False),
+        (1.0, 2, 1.2, True),
+        (1.0, 2, 1.05, True),
+        (0.9, 2, 0.95, False),
+    ],
+)
+def test_a_plain_slide_that_both_fingers_see_needs_one_frame(
+    borne_mm: float, fingers: int, slid_mm: float, slips: bool
+) -> None:
+    """It counts from 0.5 mm on, or from 0.25 mm in a stiff gel, and is plain beyond twice that."""
     memory = SlipMemory()
     names = ("left", "right")[:fingers]
     for number in range(31):
@@ -539,7 +556,8 @@ def test_a_plain_slide_that_both_fingers_see_needs_one_frame(fingers: int, slid_
             fused(0.0, at_s=10.0 + FRAME_S * number, shift_mm=slid_mm if number == 30 else 0.0, sigma_deg=0.1),
             sideways_mm=0.0, shift_fingers=names,
         )  # fmt: skip
-        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s))
+        borne = ElasticMotion(0.1, borne_mm) if borne_mm else NO_MOTION
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s), borne=borne)
         memory = seen.memory
     assert (seen.slipping, seen.translates, seen.rotates) == (slips, True, False)
 
