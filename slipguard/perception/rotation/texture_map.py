@@ -113,10 +113,10 @@ class TextureMapReader:
 
     def _steepness(self, image: NDArray[np.uint8], window: ImageWindow, patch: Patch) -> NDArray[np.float64]:
         """Return products of the three colors' change to the right and upwards, summed over the patch: (6, 6)."""
-        colors, inside = self._colors_in(image, window), _mask_in(patch, window)
-        change = np.concatenate(
-            [_filtered(colors, _SLOPE, _LEVEL)[inside], _filtered(colors, _LEVEL, -_SLOPE)[inside]], 1
-        )
+        smooth = _filtered(self._colors_in(image, window), _BLUR, _BLUR)
+        inside = _mask_in(patch, window)
+        right, down = (cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=0.125)[inside] for axis in ((1, 0), (0, 1)))
+        change = np.concatenate([right, -down], axis=1)
         return np.asarray(change.T @ change, np.float64)
 
     def read(self, image: NDArray[np.uint8], patch: Patch) -> TextureMap:
