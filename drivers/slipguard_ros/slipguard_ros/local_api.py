@@ -31,18 +31,18 @@ class RequestRefused(Exception):
     """The daemon refused a request; str() is the daemon's reason."""
 
 
-def default_socket() -> str:
-    """Return the socket of this user's daemon if it exists, else that of the system's."""
+def default_sockets() -> tuple[str, ...]:
+    """Return the sockets of this user's daemon and of the system's, in the order in which they are tried."""
     state = os.environ.get("XDG_STATE_HOME") or os.path.expanduser("~/.local/state")
-    own = os.path.join(state, "slipguard", os.path.basename(SYSTEM_SOCKET))
-    return own if os.path.exists(own) else SYSTEM_SOCKET
+    return os.path.join(state, "slipguard", os.path.basename(SYSTEM_SOCKET)), SYSTEM_SOCKET
 
 
 class LocalApi:
-    """socket_path: the daemon's Unix socket, such as /run/slipguard/slipguard.sock."""
+    """socket_path: the daemon's Unix socket; empty: the first of `default_sockets` that responds, from then on."""
 
-    def __init__(self, socket_path: str) -> None:
-        self.socket_path = socket_path
+    def __init__(self, socket_path: str = "") -> None:
+        self._candidates = (socket_path,) if socket_path else default_sockets()
+        self.socket_path = self._candidates[-1]
 
     def state(self) -> dict[str, Any]:
         """Return the complete state. Raises DaemonUnreachable."""
@@ -81,16 +81,24 @@ class LocalApi:
         return content
 
     def _connect(self, timeout_s: float) -> socket.socket:
+        for path in self._candidates[:-1]:
+            with contextlib.suppress(DaemonUnreachable):
+                return self._connect_to(path, timeout_s)
+        return self._connect_to(self._candidates[-1], timeout_s)
+
+    def _connect_to(self, path: str, timeout_s: float) -> socket.socket:
         made = socket.socket(socket.AF_UNIX)
         made.settimeout(timeout_s)
         try:
-            made.connect(self.socket_path)
+            made.connect(path)
         except OSError as error:
             made.close()
             hint = "start it with `slipguard run`, or set the parameter `socket`"
             if isinstance(error, PermissionError):
                 hint = "run the node as root, as the daemon's user, or as a member of the group dialout"
-            raise DaemonUnreachable(f"no daemon at {self.socket_path} ({error.strerror or error}); {hint}") from None
+            raise DaemonUnreachable(f"no daemon at {path} ({error.strerror or error}); {hint}") from None
+        # No request may reach another daemon later, such as a real cell's after a simulated one has ended.
+        self.socket_path, self._candidates = path, (path,)
         return made
 
 

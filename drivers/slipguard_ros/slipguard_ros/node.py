@@ -24,7 +24,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from slipguard_ros import messages as m
-from slipguard_ros.local_api import DaemonUnreachable, LocalApi, RequestRefused, StreamThread, default_socket
+from slipguard_ros.local_api import DaemonUnreachable, LocalApi, RequestRefused, StreamThread
 from slipguard_ros.readings import JawJoint, device_statuses, parse_frame, rotation_of, unreachable_status
 
 try:
@@ -77,7 +77,7 @@ class SlipguardNode(Node):
         if value["joint_scale"] == 0.0:
             self.get_logger().error("joint_scale is 0; it must be the joint's change per meter between the jaws")
             return TransitionCallbackReturn.FAILURE
-        self._api = LocalApi(value["socket"] or default_socket())
+        self._api = LocalApi(value["socket"])
         self._joint = JawJoint(value["joint_name"], value["joint_scale"], value["joint_offset"])
         self._stamps = m.Stamps(self.get_clock(), value["frame_prefix"])
         self._states = self._publisher(String, "~/state", QUEUE)
