@@ -226,8 +226,8 @@ def _table(head: list[str], rows: list[list[Any]], caption: str) -> str:
     return f"<div class='wide'>{table}</div>"
 
 
-def _n(value: float | None, digits: int = 2) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
+def _n(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def _interval(one: dict[str, Any]) -> str:

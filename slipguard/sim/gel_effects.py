@@ -7,13 +7,12 @@ so that parts of the imprint lag behind the object; the gel remembers past impri
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from slipguard.errors import InputError
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.sensor_unit import SensorUnit, random_unit
 
 TILT_MAX_DEG = 12.0
 TILT_FLOOR_MM = -5.0
@@ -97,24 +96,3 @@ class GelMemory:
     share: float
     fade_s: float = math.inf
     frame_s: float = 1.0 / 60.0
-
-
-DOME_RADIUS_MM = (30.0, math.inf)
-DOME_ASPECT = (1.0, 5.0)
-DOME_SHARE = (0.15, 1.0)
-
-
-def domed_unit(rng: np.random.Generator) -> SensorUnit:
-    """Return a random unit with any dome: radius 30 mm to flat, round to five times as long as wide.
-
-    LED layout, gain and noise are those of `random_unit`. Long domes are long in the image's vertical direction, as the
-    gel is (18.8 x 25.5 mm).
-    """
-    unit = random_unit(rng)
-    curvature = float(rng.uniform(1.0 / DOME_RADIUS_MM[1], 1.0 / DOME_RADIUS_MM[0]))
-    return replace(
-        unit,
-        dome_radius_mm=1.0 / max(curvature, 1e-6),
-        dome_aspect=float(rng.uniform(*DOME_ASPECT)),
-        dome_share=float(rng.uniform(*DOME_SHARE)),
-    )

@@ -80,9 +80,9 @@ def ellipse(half_long: float, half_wide: float) -> Distance:
     return distance
 
 
-def round_of(aspect: float, radius: float = 26.0) -> Distance:
-    """Return an ellipse of this aspect ratio with the area of a disc."""
-    return ellipse(radius * math.sqrt(aspect), radius / math.sqrt(aspect))
+def round_of(aspect: float) -> Distance:
+    """Return an ellipse of this aspect ratio with the area of a disc of radius 26."""
+    return ellipse(26.0 * math.sqrt(aspect), 26.0 / math.sqrt(aspect))
 
 
 def polygon(corners: int, radius: float = 28.0) -> Distance:

@@ -120,10 +120,10 @@ def write_checked(
     return difference
 
 
-def open_session(path: Path, threads: int = 1) -> Any:
+def open_session(path: Path) -> Any:
     options = ort.SessionOptions()
     options.log_severity_level = 3
-    options.intra_op_num_threads = threads
+    options.intra_op_num_threads = 1
     return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
 
 

@@ -19,9 +19,8 @@ SCALE = 1.0 / 48.0
 """Gray levels to network units: a strong imprint is about 50 to 100 gray levels."""
 
 
-def _conv(inputs: int, outputs: int, *, size: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    pad = dilation * (size // 2)
-    conv = nn.Conv2d(inputs, outputs, size, stride, pad, dilation, bias=False)
+def _conv(inputs: int, outputs: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    conv = nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False)
     return nn.Sequential(conv, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 

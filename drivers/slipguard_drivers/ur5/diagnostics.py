@@ -14,9 +14,9 @@ from slipguard.errors import DeviceError
 from slipguard_drivers.host_lookup import resolve_host
 from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.preconditions import SCRIPT_PORT
-from slipguard_drivers.ur5.rtde import check_port
+from slipguard_drivers.ur5.rtde import RATE_HZ, check_port
 from slipguard_drivers.ur5.settings import Ur5Settings
-from slipguard_drivers.ur5.state_monitor import RATE_HZ, ROBOT_MODES, RUNNING, RobotState, StateMonitor
+from slipguard_drivers.ur5.state_monitor import ROBOT_MODES, RUNNING, RobotState, StateMonitor
 
 MEASURE_S = 1.0
 RATE_SHARE_MIN = 0.9

@@ -16,7 +16,6 @@ from slipguard_drivers.ur5.rtde import RtdeConnection
 INPUTS = ("standard_digital_output_mask", "standard_digital_output")
 OUTPUTS = (("actual_digital_output_bits", "UINT64"),)
 LAYOUT = struct.Struct(">Q")
-RATE_HZ = 125.0
 REPORT_TIMEOUT_S = 0.3
 
 
@@ -75,7 +74,7 @@ class DigitalOutput:
     async def _claim(self) -> tuple[RtdeConnection, int]:
         connection = await RtdeConnection.connect(self._name, self._host)
         try:
-            await connection.request_outputs(OUTPUTS, RATE_HZ)
+            await connection.request_outputs(OUTPUTS)
             recipe = await connection.claim_inputs(INPUTS)
             await connection.start()
         except CommandRefused as error:

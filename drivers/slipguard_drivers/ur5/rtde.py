@@ -17,6 +17,8 @@ from slipguard.errors import CommandRefused, DeviceLost
 from slipguard_drivers.host_lookup import resolve_host
 
 PORT = 30004
+RATE_HZ = 125.0
+"""The full rate of a CB3 controller, a quarter of an e-Series controller's."""
 CONNECT_TIMEOUT_S = 0.5
 RESPONSE_TIMEOUT_S = 0.4
 """Fifty cycles of a CB3 controller, on a cable."""
@@ -50,10 +52,10 @@ class RtdeConnection:
             raise
         return connection
 
-    async def request_outputs(self, variables: Sequence[tuple[str, str]], rate_hz: float) -> None:
+    async def request_outputs(self, variables: Sequence[tuple[str, str]]) -> None:
         """Request variables, given as (name, type). Raises DeviceLost naming those that the controller lacks."""
         names = ",".join(name for name, _ in variables)
-        response = await self._request("O", struct.pack(">d", rate_hz) + names.encode())
+        response = await self._request("O", struct.pack(">d", RATE_HZ) + names.encode())
         kinds = response[1:].decode("ascii", "replace").split(",")
         wrong = [f"{name} ({kind})" for (name, wanted), kind in zip(variables, kinds, strict=False) if kind != wanted]
         if wrong or len(kinds) != len(variables):

@@ -27,8 +27,6 @@ VARIABLES: tuple[tuple[str, str], ...] = (
 LAYOUT = struct.Struct(">d6d6dIIi")
 REGISTERS = 3
 """How many output registers are received in addition, if any."""
-RATE_HZ = 125.0
-"""The full rate of a CB3 controller, a quarter of an e-Series controller's."""
 STALE_S = 0.2
 """A state older than this is not used: 25 packets."""
 CURRENT_S = 0.05
@@ -109,11 +107,10 @@ class StateMonitor:
         self,
         name: str,
         host: str,
-        rate_hz: float = RATE_HZ,
         on_lost: Callable[[str], None] = lambda reason: None,
         first_register: int | None = None,
     ) -> None:
-        self._name, self._host, self._rate_hz, self._on_lost = name, host, rate_hz, on_lost
+        self._name, self._host, self._on_lost = name, host, on_lost
         self._connection: RtdeConnection | None = None
         self._reading: asyncio.Task[None] | None = None
         self._variables, self._layout = VARIABLES, LAYOUT
@@ -163,7 +160,7 @@ class StateMonitor:
         await self.close()
         connection = await RtdeConnection.connect(self._name, self._host)
         try:
-            await connection.request_outputs(self._variables, self._rate_hz)
+            await connection.request_outputs(self._variables)
             await connection.start()
             async with asyncio.timeout(RESPONSE_TIMEOUT_S):
                 first = self._decode(await connection.receive())

@@ -42,7 +42,7 @@ def running_socket(config: Config | None = None, environ: Mapping[str, str] = os
     return next((path for path in (own, SYSTEM_FOLDER / SOCKET_NAME) if is_listening(path)), own)
 
 
-def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = os.environ) -> str | None:
+def token_for(url: str, file: Path | None = None) -> str | None:
     """Return the token for the daemon at `url`: from `file`, else this user's, else the system's; None if missing.
 
     Without `file`, a token is only sent to this machine. Raises InputError if `file` cannot be read.
@@ -58,7 +58,7 @@ def token_for(url: str, file: Path | None = None, environ: Mapping[str, str] = o
         return None  # not an address; the client reports it
     if host not in ("127.0.0.1", "localhost", "::1"):
         return None
-    for folder in (StateDir(environ=environ).runtime_path, SYSTEM_FOLDER):
+    for folder in (StateDir().runtime_path, SYSTEM_FOLDER):
         with contextlib.suppress(OSError, UnicodeDecodeError):
             return (folder / TOKEN_NAME).read_text(encoding="ascii").strip()
     return None

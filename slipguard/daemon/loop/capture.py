@@ -15,6 +15,8 @@ from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained,
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen
 
+COPIES_MAX = 4
+"""Frames that wait in the queue of a copy."""
 REOPEN_S = 2.0
 """A connected sensor that delivers only errors for this time is closed and opened again."""
 TORN_MAX, TORN_WITHIN_S = 4, 1.0
@@ -130,9 +132,9 @@ class SensorCapture:
         self.serial = serial
 
     @contextlib.contextmanager
-    def copy_frames(self, size: int = 4) -> Iterator[asyncio.Queue[Frame]]:
-        """Copy every good frame into a queue of this size as well; a frame that does not fit is left out."""
-        queue: asyncio.Queue[Frame] = asyncio.Queue(size)
+    def copy_frames(self) -> Iterator[asyncio.Queue[Frame]]:
+        """Copy every good frame into a short queue as well; a frame that does not fit is left out."""
+        queue: asyncio.Queue[Frame] = asyncio.Queue(COPIES_MAX)
         self._copies = queue
         try:
             yield queue

@@ -12,6 +12,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+START_S = 1000.0
 
 
 class _JumpingSelector(selectors.DefaultSelector):  # type: ignore[misc, unused-ignore]
@@ -19,7 +20,7 @@ class _JumpingSelector(selectors.DefaultSelector):  # type: ignore[misc, unused-
 
     def __init__(self) -> None:
         super().__init__()
-        self.now_s = 0.0
+        self.now_s = START_S
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         ready = super().select(0)
@@ -32,11 +33,10 @@ class _JumpingSelector(selectors.DefaultSelector):  # type: ignore[misc, unused-
 
 
 class VirtualTimeLoop(asyncio.SelectorEventLoop):
-    """Virtual clock: starts at `start_s`, and advances only when every task waits."""
+    """Virtual clock: starts at `START_S`, and advances only when every task waits."""
 
-    def __init__(self, start_s: float = 1000.0) -> None:
+    def __init__(self) -> None:
         self._jumping = _JumpingSelector()
-        self._jumping.now_s = start_s
         super().__init__(self._jumping)
         # Timers closer than this count as due; the default is the real clock's resolution.
         self._clock_resolution = 1e-9
@@ -59,7 +59,7 @@ class VirtualTimeLoop(asyncio.SelectorEventLoop):
         return future
 
 
-def run_virtual(main: Coroutine[Any, Any, T], start_s: float = 1000.0) -> T:
+def run_virtual(main: Coroutine[Any, Any, T]) -> T:
     """Run `main` to its end on a new virtual clock and return its result."""
-    with asyncio.Runner(loop_factory=lambda: VirtualTimeLoop(start_s)) as runner:
+    with asyncio.Runner(loop_factory=VirtualTimeLoop) as runner:
         return runner.run(main)
