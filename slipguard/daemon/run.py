@@ -96,23 +96,12 @@ def build_service(
         return driver(section.settings, DriverContext(name=name, world=world, mode=config.guard.mode))
 
     def pipeline_maker(name: str) -> Callable[[str], PerceptionPipeline]:
-        section = getattr(config, name)
         segmenter = Segmenter(config.perception.model)
 
         def make(serial: str) -> PerceptionPipeline:
-            known = _stored_background(state_dir, serial)
-            pipeline = Pipeline(
-                segmenter,
-                config.perception,
-                background=None if known is None else known.image,
-                noise=None if known is None else known.noise_bgr,
-                px_per_mm=section.px_per_mm,
-                mounting_deg=section.mounting_deg,
-                timer=time.perf_counter,
-            )
-            resuming = ResumingPipeline(pipeline)
-            restore_reference(resuming, references, name, serial, asyncio.get_running_loop().time())
-            return wrap_pipeline(name, resuming)
+            pipeline = ResumingPipeline(_build_pipeline(config, name, segmenter, _stored_background(state_dir, serial)))
+            restore_reference(pipeline, references, name, serial, asyncio.get_running_loop().time())
+            return wrap_pipeline(name, pipeline)
 
         return make
 
@@ -131,6 +120,20 @@ def build_service(
     for line in warnings:
         service.event_log.warning(line)
     return service
+
+
+def _build_pipeline(config: Config, finger: str, segmenter: Segmenter, known: BackgroundImage | None) -> Pipeline:
+    """Build the pipeline of a finger. known: the unit's background image."""
+    section = getattr(config, finger)
+    return Pipeline(
+        segmenter,
+        config.perception,
+        background=None if known is None else known.image,
+        noise=None if known is None else known.noise_bgr,
+        px_per_mm=section.px_per_mm,
+        mounting_deg=section.mounting_deg,
+        timer=time.perf_counter,
+    )
 
 
 def _stored_background(store: StateDir, serial: str) -> BackgroundImage | None:
