@@ -144,17 +144,7 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
     torque_n_m += load.push_n_m
     load_n = weight_n + load.push_n - near_n - far_n
     if load.force_n <= NO_CONTACT_N:
-        rate = motion.rate_rad_s + dt * torque_n_m / body.inertia_kg_m2
-        fall = motion.slip_m_s + dt * load_n / body.mass_kg if body.translates else 0.0
-        return ObjectMotion(
-            rotation_rad=motion.rotation_rad + dt * rate,
-            rate_rad_s=rate,
-            slip_m=motion.slip_m + dt * fall,
-            slip_m_s=fall,
-            load_n=load_n,
-            on_table=on_table,
-            slipping=True,
-        )
+        return _fall(motion, body, load_n, torque_n_m, on_table, dt)
 
     n = FINGER_COUNT
     torsion, shear = gel.stiffness(load.force_n)
@@ -214,6 +204,23 @@ def advance(motion: ObjectMotion, body: GraspedBody, gel: SoftPad, load: Externa
         slipping=rotational_slip != 0.0 or translational_slip != 0.0,
         creep_n_m=creep_n_m,
         creep_n=creep_n,
+    )
+
+
+def _fall(
+    motion: ObjectMotion, body: GraspedBody, load_n: float, torque_n_m: float, on_table: bool, step_s: float
+) -> ObjectMotion:
+    """Return the motion one step later of an object that no finger touches."""
+    rate = motion.rate_rad_s + step_s * torque_n_m / body.inertia_kg_m2
+    speed = motion.slip_m_s + step_s * load_n / body.mass_kg if body.translates else 0.0
+    return ObjectMotion(
+        rotation_rad=motion.rotation_rad + step_s * rate,
+        rate_rad_s=rate,
+        slip_m=motion.slip_m + step_s * speed,
+        slip_m_s=speed,
+        load_n=load_n,
+        on_table=on_table,
+        slipping=True,
     )
 
 
