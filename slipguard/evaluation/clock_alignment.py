@@ -22,13 +22,9 @@ GAP_FRAMES = 2.5
 
 @dataclass(frozen=True, slots=True)
 class ClockLag:
-    """lag_s: delay of the camera's times relative to the tactile ones. sigma_s: its standard deviation.
-
-    why: reason if the lag cannot be determined; then lag_s is 0 and sigma_s the whole range.
-    """
+    """lag_s: delay of the camera's times relative to the tactile ones. why: reason if it is unknown; then it is 0."""
 
     lag_s: float
-    sigma_s: float
     why: str | None = None
 
 
@@ -43,25 +39,24 @@ def find_lag(
         lag_max_s: largest lag considered.
     """
     if min(len(camera_s), len(tactile_s)) < 5:
-        return ClockLag(0.0, lag_max_s, "too few frames")
+        return ClockLag(0.0, "too few frames")
     if np.ptp(camera_deg) < MOTION_MIN_DEG or np.ptp(tactile_deg) < MOTION_MIN_DEG:
-        return ClockLag(0.0, lag_max_s, "too little rotation")
+        return ClockLag(0.0, "too little rotation")
     around_s, reach_s = 0.0, lag_max_s
     while reach_s > FINE_S:  # a separate video: coarse search first
         lags = around_s + np.arange(-reach_s, reach_s + COARSE_S / 2, COARSE_S)
         cost = np.array([_difference_variance(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
         if not np.isfinite(cost).any():
-            return ClockLag(0.0, lag_max_s, "the two streams do not overlap")
+            return ClockLag(0.0, "the two streams do not overlap")
         around_s, reach_s = float(lags[int(np.nanargmin(cost))]), 0.2
     lags = around_s + np.arange(-reach_s, reach_s + STEP_S / 2, STEP_S)
     cost = np.array([_difference_variance(camera_s - lag, camera_deg, tactile_s, tactile_deg) for lag in lags])
     if not np.isfinite(cost).any():
-        return ClockLag(0.0, lag_max_s, "the two streams do not overlap")
+        return ClockLag(0.0, "the two streams do not overlap")
     best = int(np.nanargmin(cost))
     if best in (0, len(lags) - 1):
-        return ClockLag(0.0, lag_max_s, f"more than {lag_max_s:g} s apart")
-    lag = float(lags[best]) + _vertex(cost[best - 1 : best + 2]) * STEP_S
-    return ClockLag(lag, _sigma(camera_s - lag, camera_deg, tactile_s, tactile_deg, float(cost[best])))
+        return ClockLag(0.0, f"more than {lag_max_s:g} s apart")
+    return ClockLag(float(lags[best]) + _vertex(cost[best - 1 : best + 2]) * STEP_S)
 
 
 def between_frames(time_s: Array, camera_s: Array) -> NDArray[np.bool_]:
@@ -86,11 +81,3 @@ def _vertex(three: Array) -> float:
     """Return the minimum of the parabola through three neighboring values, in steps from the middle one."""
     curvature = three[0] - 2.0 * three[1] + three[2]
     return float(np.clip(0.5 * (three[0] - three[2]) / curvature, -1.0, 1.0)) if curvature > 0.0 else 0.0
-
-
-def _sigma(camera_s: Array, camera_deg: Array, tactile_s: Array, tactile_deg: Array, variance: float) -> float:
-    """Return the noise over the slope: the more the rotation changes, the better the lag is known."""
-    inside = between_frames(tactile_s, camera_s)
-    rate = np.gradient(np.interp(tactile_s[inside], camera_s, camera_deg), tactile_s[inside])
-    power = float(((rate - rate.mean()) ** 2).sum())
-    return float(np.sqrt(variance / power)) if power > 0.0 else float("inf")

@@ -30,7 +30,6 @@ def test_the_lag_is_found_within_half_a_frame(lag_s: float, seed: int) -> None:
     found = find_lag(*streams(lag_s, 0.3, seed))
     assert found.why is None
     assert abs(found.lag_s - lag_s) < FRAME_S / 2
-    assert found.sigma_s < FRAME_S / 2
 
 
 def test_a_video_started_ten_seconds_earlier_is_found_too() -> None:
