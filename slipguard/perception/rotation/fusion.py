@@ -27,6 +27,12 @@ LIGHT_FREE_LEVELS = 1.0
 LIGHT_DEG = 0.6
 """Light that changes after the reference shifts contours: one standard deviation of the rotation per gray level of mean
 difference from the background image, beyond the first level. A slope of 6 levels over the image gives 2 levels."""
+SLIP_SHARE, SLIP_MAX_DEG = 0.05, 1.0
+"""The part of a contact whose texture is seen may lag behind the object: by this share of the rotation in sigma, at
+most by this angle, since a gel is twisted by some degrees only."""
+SMOOTH_TWIST = 2.5
+"""Factor on the sigma by a middle that rotates differently, for smooth contacts: most of their middle shows nothing.
+Both were chosen on partial slip of the training objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +184,19 @@ def rotation_between_axes(
     """
     rotation = nearest_rotation_deg(now_deg - reference_deg, near_deg)
     return RotationEstimate(rotation, math.hypot(now_sigma_deg, reference_sigma_deg))
+
+
+def widen_for_slip(rotation: RotationEstimate, twist_deg: float, smooth: bool) -> RotationEstimate:
+    """Increase sigma for partial slip: a part of the contact sticks to the gel while the rest rotates.
+
+    Args:
+        rotation: The rotation to widen.
+        twist_deg: Sigma by a middle that has rotated differently.
+        smooth: Whether the contact has no edges.
+    """
+    twist_deg *= SMOOTH_TWIST if smooth else 1.0
+    lag_deg = min(SLIP_SHARE * abs(rotation.rotation_deg or 0.0), SLIP_MAX_DEG)
+    return rotation.widened(math.hypot(twist_deg, lag_deg))
 
 
 def widen_for_light(rotation: RotationEstimate, levels: float) -> RotationEstimate:

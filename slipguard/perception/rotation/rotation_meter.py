@@ -14,7 +14,13 @@ from slipguard.perception.estimate import StageTimer
 from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotation_of_axes
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
-from slipguard.perception.rotation.fusion import RotationEstimate, fuse_rotation, is_certain, needs_contour
+from slipguard.perception.rotation.fusion import (
+    RotationEstimate,
+    fuse_rotation,
+    is_certain,
+    needs_contour,
+    widen_for_slip,
+)
 from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
 from slipguard.perception.rotation.segmented_texture import SegmentedTexture
@@ -283,7 +289,8 @@ class RotationMeter:
         factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
         moved_px = 0.0 if shift.shift_px is None else math.hypot(*shift.shift_px)
         twist_deg, lean = (0.0, 0.0) if found is None else (found.twist_deg, found.lean)
-        rotation = reference.contour.check(rotation.widened(twist_deg), patch, factor, lean, moved_px)
+        rotation = widen_for_slip(rotation, twist_deg, reference.contour.smooth)
+        rotation = reference.contour.check(rotation, patch, factor, lean, moved_px)
         if self._reader is None and rotation.sigma_deg is not None:
             rotation = replace(rotation, sigma_deg=UNKNOWN_SIGMAS * factor * rotation.sigma_deg)
         limit = self._settings.sigma_max_deg

@@ -21,6 +21,7 @@ from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
 from slipguard.perception.rotation.texture_registration import (
     ALIKE_MIN,
     APART_DEG,
+    UNEVEN_MAX,
     TextureFit,
     TexturePose,
     fit_texture,
@@ -106,6 +107,7 @@ class TextureTracker:
         self._first = template
         self._period: tuple[float | None] | None = None
         self._pose = TexturePose()
+        self._uneven_pose: TexturePose | None = None
         self._key: _Key | None = None
         self._key_pose = TexturePose()
         self._memory = ImprintMemory()
@@ -179,7 +181,7 @@ class TextureTracker:
         near_deg = predicted_deg + math.remainder(best.pose.rotation_deg - predicted_deg, 360.0)
         found = self._tracked(first, best, (best.pose.dx_px, best.pose.dy_px), near_deg, 0.0)
         if found.rotation.rotation_deg is not None:
-            self._pose = best.pose
+            self._pose, self._uneven_pose = best.pose, None
         return found
 
     def track_again(
@@ -228,8 +230,10 @@ class TextureTracker:
     ) -> TrackedTexture:
         """Register to the reference, or to the key if that is better. start: other than the last pose."""
         if start is None:
-            start = replace(self._pose, rotation_deg=predicted_deg)
+            start = self._uneven_pose or replace(self._pose, rotation_deg=predicted_deg)
         fit = fit_texture(self._first, texture_map, start)
+        # A prediction goes on at the last known rate: after some declined frames it may be at the next of many rays.
+        self._uneven_pose = fit.pose if fit.uneven > UNEVEN_MAX and fit.alike >= ALIKE_MIN else None
         if fit.declined is None and fit.alike > MEMORY_ALIKE:
             self._memory.update(fit.ghost)
         found = self._tracked(self._first, fit, (fit.pose.dx_px, fit.pose.dy_px), fit.pose.rotation_deg, 0.0)

@@ -14,6 +14,7 @@ from slipguard.perception.rotation.fusion import (
     fuse_rotation,
     needs_contour,
     rotation_between_axes,
+    widen_for_slip,
 )
 
 NO_CONTOUR = RotationEstimate(None, None, "round contact")
@@ -101,3 +102,21 @@ def test_a_certain_texture_that_the_axis_does_not_contradict_needs_no_contour() 
     assert needs_contour(RotationEstimate(10.0, 0.5), RotationEstimate(15.0, 0.5))
     assert needs_contour(RotationEstimate(10.0, 0.9), RotationEstimate(10.4, 0.5))
     assert needs_contour(None, RotationEstimate(10.4, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("rotation_deg", "twist_deg", "smooth", "sigma_deg"),
+    [
+        (0.0, 0.0, True, 0.1),
+        (10.0, 0.0, False, 0.51),
+        (-150.0, 0.0, False, 1.0),
+        (0.0, 2.0, False, 2.0),
+        (0.0, 2.0, True, 5.0),
+    ],
+)
+def test_partial_slip_widens_sigma_most_for_smooth_contacts(
+    rotation_deg: float, twist_deg: float, smooth: bool, sigma_deg: float
+) -> None:
+    widened = widen_for_slip(RotationEstimate(rotation_deg, 0.1), twist_deg, smooth)
+    assert (widened.rotation_deg, widened.sigma_deg) == (rotation_deg, pytest.approx(sigma_deg, abs=0.01))
+    assert widen_for_slip(NO_CONTOUR, twist_deg, smooth) == NO_CONTOUR
