@@ -131,8 +131,8 @@ def test_mounting_rotates_directions_but_not_rotations(
     mounting_deg: int, shift_mm: tuple[float, float], orientation_deg: float
 ) -> None:
     pipe = pipeline(mounting_deg)
-    run(pipe, "ellipse", [20.0] * 6)
-    moved = pipe.process(frame(drawn("ellipse", 30, (64.625, 70.75)), 9))
+    run(pipe, "bar", [20.0] * 6)
+    moved = pipe.process(frame(drawn("bar", 30, (64.625, 70.75)), 9))
     assert moved.rotation_deg == pytest.approx(10.0, abs=0.8)
     assert moved.shift_mm == pytest.approx(shift_mm, abs=0.15)
     assert moved.orientation_deg == pytest.approx(orientation_deg, abs=1.0)
