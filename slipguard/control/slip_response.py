@@ -123,14 +123,20 @@ def _go_on(
     state: GraspState, slip: SlipEpisode, seen: SlipAssessment, observation: Observation, params: GuardParams
 ) -> SlipResponse:
     """Take another step if the last one has had its time and has no effect; report if nothing is left to do."""
-    wait = SlipResponse(state, stop_arm=True)
+    gripper = observation.gripper
+    if gripper is not None and gripper.moving:
+        slip = replace(slip, moved_s=gripper.measured_at_s)
     if seen.memory.captured_s < slip.tightened_s + _delay_s(state, params):  # from before the step could show
         return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
+    if seen.memory.captured_s < slip.moved_s + RATE_LAG_S:  # a firmer grip moves the imprint: that is no slide
+        slip = replace(slip, slip_mm=seen.slip_mm)
+    state = _with_slip(state, slip)
+    wait = SlipResponse(state, stop_arm=True)
     rotated_deg, moved_mm = seen.rotation_deg - slip.rotation_deg, seen.slip_mm - slip.slip_mm
     slips_on = seen.slides or (seen.moving and (rotated_deg > PROGRESS_DEG or moved_mm > PROGRESS_MM))
     if seen.elastic or not (slips_on or rotated_deg > _crept_deg(observation, params) or moved_mm > CREPT_MM):
         return wait
-    at_rest = observation.gripper is not None and gripper_at_rest(state, observation.gripper)
+    at_rest = gripper is not None and gripper_at_rest(state, gripper)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     if force_range is None or state.grip.target_n >= force_range.high_n:
         beyond = seen.slides or rotated_deg > BEYOND_LIMIT_DEG or moved_mm > BEYOND_LIMIT_MM

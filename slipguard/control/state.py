@@ -97,6 +97,7 @@ class SlipEpisode:
         rotation_deg, rate_deg_s, slip_mm: at the last tightening, or where progress counts from since then.
         rotates: rotational slip was seen.
         raised: the force was raised.
+        moved_s: when the gripper last moved.
     """
 
     began_s: float
@@ -106,6 +107,7 @@ class SlipEpisode:
     slip_mm: float
     rotates: bool = False
     raised: bool = False
+    moved_s: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)

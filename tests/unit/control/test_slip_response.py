@@ -186,6 +186,19 @@ def test_slow_translational_creep_is_tightened_again(rotation_deg: float | None,
     assert (response.hold_n is not None) is steps
 
 
+@pytest.mark.parametrize(
+    ("moving", "moved_s", "steps"), [(True, 0.5, False), (False, 0.04, False), (False, 0.06, True)]
+)
+def test_a_shift_while_the_force_rises_is_no_slide(moving: bool, moved_s: float, steps: bool) -> None:
+    """A firmer grip moves the imprint of a sloping object; the rate of the shift shows it 50 ms longer."""
+    before = changed(slipping(4.0, slip_mm=0.1), moved_s=NOW_S - moved_s)
+    response = respond(state(before), view(4.5, 60.0, 0.6, gripper=gripper(40.0, moving=moving, at_s=NOW_S)))
+    assert (response.hold_n is not None) is steps
+    if not steps:
+        moved_at_s = NOW_S if moving else before.moved_s
+        assert response.state.held.slip == changed(before, moved_s=moved_at_s, slip_mm=0.6)
+
+
 def test_translation_before_the_last_step_is_no_progress() -> None:
     assert respond(state(slipping(4.0, slip_mm=0.3)), view(4.5, 60.0, 0.4)).hold_n is None
 
