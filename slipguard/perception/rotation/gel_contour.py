@@ -44,10 +44,10 @@ LEAN_SMOOTH_DEG, LEAN_DEG = 6.0, 3.0
 """Sigma of the rotation per change of strength from one side to the other, beyond a free amount: an object that is
 tilted rolls, and the imprint of a bent smooth body then rotates although the body does not; edges roll less. Without a
 tilt the change is 0.02-0.15. Chosen on rocking training objects."""
-ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.2, 1.0, 5.0
+ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 1.0, 5.0
 """Sigma of the rotation per frame pixel by which the contact of a smooth object has moved, beyond a free amount: it may
 have rolled, and then the imprint of a body bent with a radius of 20 mm rotates by 0.16 degrees per pixel, a banana's by
-0.35. A smooth contact that has moved by 1.7 mm is therefore declined, also if it has only slid. Chosen on rocking
+0.35. A smooth contact that has moved by 2.1 mm is therefore declined, also if it has only slid. Chosen on rocking
 training objects. For a contact with edges that has moved and shrunk, at most the third number."""
 SHRUNK = 1.5
 """Any contact that has moved and shrunk by this factor touches with another part of the object."""

@@ -42,11 +42,11 @@ def test_partial_slip_is_declined_or_uncertain() -> None:
     assert max(errors_sigma, default=0.0) < 4.0
 
 
-@pytest.mark.parametrize("case", ["coin", "bottle"])
-def test_rays_that_deform_and_a_smooth_contact_that_lags_are_within_sigma(case: str) -> None:
-    """The coin's rim has 60 rays: after some declined frames it was found at the next one, 13 degrees off."""
-    _, errors_sigma = errors("partial slip", case, 8101)
-    assert len(errors_sigma) >= 8
+def test_rays_on_a_rim_are_not_taken_for_the_next_ones_after_frames_that_deform() -> None:
+    """The coin has 60 rays; after some declined frames it was found two rays further on, 13 degrees off."""
+    errors_deg, errors_sigma = errors("partial slip", "coin", 8101)
+    assert len(errors_deg) >= 8
+    assert max(errors_deg) < 2.0
     assert max(errors_sigma) < 3.0
 
 

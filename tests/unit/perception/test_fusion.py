@@ -111,7 +111,7 @@ def test_a_certain_texture_that_the_axis_does_not_contradict_needs_no_contour() 
         (10.0, 0.0, False, 0.51),
         (-150.0, 0.0, False, 1.0),
         (0.0, 2.0, False, 2.0),
-        (0.0, 2.0, True, 5.0),
+        (0.0, 2.0, True, 3.0),
     ],
 )
 def test_partial_slip_widens_sigma_most_for_smooth_contacts(
