@@ -103,7 +103,8 @@ def test_a_fast_slide_of_a_smooth_shaft_shows_at_its_end() -> None:
         if assessed.slipping and seen_at_mm is None:
             seen_at_mm = slid_mm
             assert assessed.slip_mm == pytest.approx(slid_mm, abs=1.0)
-    assert seen_at_mm == 5.0
+    assert seen_at_mm is not None
+    assert seen_at_mm <= 5.0
 
 
 @pytest.mark.parametrize("name", ["wrench", "key", "wedge", "bar", "knife_edge", "hook"])
