@@ -32,7 +32,7 @@ SLIP_SHARE, SLIP_MAX_DEG = 0.05, 1.0
 most by this angle, since a gel is twisted by some degrees only."""
 SMOOTH_TWIST = 1.5
 """Factor on the sigma by a middle that rotates differently, for smooth contacts: most of their middle shows nothing.
-Both are the smallest that leave 0.5 % of the errors beyond 3 sigma in partial slip of the training objects."""
+Both were chosen on partial slip of training objects; larger ones decline more frames than they correct."""
 
 
 @dataclass(frozen=True, slots=True)
