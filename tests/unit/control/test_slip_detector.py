@@ -307,9 +307,10 @@ def test_how_many_frames_a_sudden_rotation_counts_in_a_lift_off(
 
 @pytest.mark.parametrize(
     ("slip_mm", "smooth_mm", "translates"),
-    [(0.25, 0.0, False), (0.26, 0.0, True), (2.0, 2.0, False), (2.01, 2.01, True)],
+    [(0.25, -0.2, False), (0.26, -0.2, True), (0.26, 0.0, False), (2.0, 2.0, False), (2.01, 2.01, True)],
 )
 def test_translation_counts_beyond_its_threshold(slip_mm: float, smooth_mm: float, translates: bool) -> None:
+    """Half of `slip_mm` in a gel that bears nothing, if it is fast; a slow one from `creep_mm` on."""
     before = changed(BEFORE, episode_mm=0.0, smooth_mm=smooth_mm)
     sight = assess_slip(before, observation(4.0, shift_mm=slip_mm), PARAMS)
     assert sight.translates is translates
