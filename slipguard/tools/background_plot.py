@@ -15,7 +15,6 @@ from slipguard.tools.plotting import figure, save
 
 GAIN = 8
 """Amplification of the change."""
-GATE_SIGMA = 7.0
 
 
 def png_of(image: NDArray[np.uint8]) -> bytes:
@@ -45,9 +44,7 @@ def draw(images: Mapping[str, bytes], stored: Mapping[str, Any], path: Path) -> 
         facts = entry["versions"][-1]
         now_axes.imshow(newest[..., ::-1])
         now_axes.set_title(f"{name} {entry['serial']}: image {numbers[-1]}\n{facts['created_at'][:16]}", fontsize=9)
-        change = compare_gel(
-            newest.astype(np.float32), facts["frames"], first, facts["noise_bgr"], facts["frames"], GATE_SIGMA
-        )
+        change = compare_gel(newest.astype(np.float32), facts["frames"], first, facts["noise_bgr"], facts["frames"])
         difference = np.clip(128.0 + GAIN * (newest.astype(np.float32) - first), 0, 255).astype(np.uint8)
         change_axes.imshow(difference[..., ::-1])
         for mark in change.marks:

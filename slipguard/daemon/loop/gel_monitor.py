@@ -176,11 +176,8 @@ class GelMonitor:
         serial = finger.serial
         if serial is None:
             return
-        px_per_mm, gate_noise_factor = getattr(config, name).px_per_mm, config.perception.gate_noise_factor
         try:
-            compared = await asyncio.to_thread(
-                _compare_with_stored, self._service.store, serial, mean, gate_noise_factor
-            )
+            compared = await asyncio.to_thread(_compare_with_stored, self._service.store, serial, mean)
         except SlipguardError:  # a damaged or missing image is reported elsewhere
             return
         except Exception:  # the guard must go on
@@ -188,7 +185,7 @@ class GelMonitor:
             return
         if compared is None or window is not self._windows[name]:  # calibrated in the meantime
             return
-        self._conditions[name] = gel = assess_gel(*compared, px_per_mm)
+        self._conditions[name] = gel = assess_gel(*compared, getattr(config, name).px_per_mm)
         window.agreeing = window.agreeing + 1 if gel.status is window.newest else 1
         window.newest = gel.status
         worse = gel.status in (GelStatus.DRIFTED, GelStatus.WORN)
@@ -198,7 +195,7 @@ class GelMonitor:
 
 
 def _compare_with_stored(
-    store: BackgroundStore, serial: str, mean: NDArray[np.float32], gate_noise_factor: float
+    store: BackgroundStore, serial: str, mean: NDArray[np.float32]
 ) -> tuple[GelChange, GelChange] | None:
     """Return the change since the newest background image and since the first one of the gel; None if there is none."""
     newest, first = store.load_background(serial), store.first_of_gel(serial)
@@ -206,7 +203,7 @@ def _compare_with_stored(
         return None
 
     def since(known: BackgroundImage) -> GelChange:
-        return compare_gel(mean, FRAMES, known.image, known.noise_bgr, known.frames, gate_noise_factor)
+        return compare_gel(mean, FRAMES, known.image, known.noise_bgr, known.frames)
 
     light = since(newest)
     return light, light if np.array_equal(first.image, newest.image) else since(first)

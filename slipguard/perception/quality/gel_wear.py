@@ -15,8 +15,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, ContactGate, block_means
-
 SMOOTH_PX = 4.0
 """Changes wider than this (one standard deviation) are light; marks are narrower, or have edges that are."""
 SHIFT_PX = 2
@@ -59,20 +57,16 @@ class GelChange:
     """Change since the known image.
 
     level_bgr: increase in brightness, gray levels. uneven_levels: change of the light's pattern beyond that, r.m.s.
-    gate_share: difference over the contact gate's limit; at 1 the gate takes the light for a contact.
     marks: the strongest first, at most `KEPT_MARKS`. marked_px: area of all marks.
     """
 
     level_bgr: tuple[float, float, float]
     uneven_levels: float
-    gate_share: float
     marks: tuple[GelMark, ...]
     marked_px: int
 
 
-def compare_gel(
-    now: Mean, now_frames: int, known: Image, noise_bgr: Sequence[float], known_frames: int, gate_noise_factor: float
-) -> GelChange:
+def compare_gel(now: Mean, now_frames: int, known: Image, noise_bgr: Sequence[float], known_frames: int) -> GelChange:
     """Compare an averaged image with the known one.
 
     Args:
@@ -81,7 +75,6 @@ def compare_gel(
         known: (320, 240, 3) uint8 BGR, mean of `known_frames`.
         noise_bgr: Standard deviation of one pixel, gray levels.
         known_frames: Number of frames in `known`.
-        gate_noise_factor: Limit of the contact gate.
     """
     difference = cv2.subtract(now, known.astype(np.float32))
     level = difference.mean(axis=(0, 1))
@@ -89,13 +82,7 @@ def compare_gel(
     uneven = float(np.sqrt(np.square(smooth - level).mean()))
     left_std = np.sqrt(np.square(np.asarray(noise_bgr)) * (1.0 / now_frames + 1.0 / known_frames) + 1.0 / 12.0)
     marks, marked_px = _marks(now, known, float(np.linalg.norm(left_std)))
-    return GelChange(
-        (float(level[0]), float(level[1]), float(level[2])),
-        uneven,
-        _gate_share(now, known, noise_bgr, gate_noise_factor),
-        marks,
-        marked_px,
-    )
+    return GelChange((float(level[0]), float(level[1]), float(level[2])), uneven, marks, marked_px)
 
 
 def _marks(now: Mean, known: Image, left_std: float) -> tuple[tuple[GelMark, ...], int]:
@@ -134,16 +121,3 @@ def _sharp(image: Mean) -> Mean:
     fine -= np.median(fine, axis=0, keepdims=True)
     fine -= np.median(fine, axis=1, keepdims=True)
     return np.asarray(fine, np.float32)
-
-
-def _gate_share(now: Mean, known: Image, noise_bgr: Sequence[float], gate_noise_factor: float) -> float:
-    """Return the worst block difference of the contact gate, over the gate's limit."""
-    gate = ContactGate(known, noise_bgr, gate_noise_factor)
-    blocks = block_means(np.clip(np.rint(now), 0, 255).astype(np.uint8))
-    assert gate.background is not None
-    difference = blocks - gate.background
-    y, x = np.divmod(np.arange(len(blocks)), BLOCKS_WIDE)
-    terms = np.stack([np.ones(len(blocks)), x / BLOCKS_WIDE, y / BLOCKS_HIGH], axis=1).astype(np.float32)
-    plane, *_ = np.linalg.lstsq(terms, difference, rcond=None)
-    worst = np.linalg.norm((difference - terms @ plane) * gate.inverse_std, axis=1).max()
-    return float(worst / gate_noise_factor)

@@ -67,7 +67,7 @@ def scratched(frame_image: np.ndarray, levels: float, end: tuple[int, int] = (16
 
 
 def compared(now: np.ndarray, known: np.ndarray, frames: int = FRAMES) -> GelChange:
-    return compare_gel(now.astype(np.float32), frames, known, NOISE_BGR, 30, 7.0)
+    return compare_gel(now.astype(np.float32), frames, known, NOISE_BGR, 30)
 
 
 @pytest.mark.parametrize("seed", UNITS)
@@ -77,7 +77,6 @@ def test_an_unchanged_gel_shows_no_change(seed: int) -> None:
     assert change.marks == ()
     assert max(abs(level) for level in change.level_bgr) < 0.2
     assert change.uneven_levels < 0.2
-    assert change.gate_share < 0.5
 
 
 @pytest.mark.parametrize("seed", UNITS)
@@ -133,10 +132,6 @@ def test_a_change_of_light_is_reported_in_gray_levels() -> None:
     slope = np.linspace(-8.0, 8.0, 240)[None, :, None]
     tilted = compared(averaged(rng, known + slope), known)
     assert tilted.uneven_levels == pytest.approx(8.0 / np.sqrt(3.0), abs=0.7)
-    assert tilted.gate_share < 0.5  # the gate takes an even slope out
-    patch = known.astype(np.float64)
-    patch[100:140, 100:140] += 12.0
-    assert compared(averaged(rng, patch), known).gate_share > 1.0
 
 
 @pytest.mark.real
