@@ -33,9 +33,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from slipguard.limit_surface import GRAVITY_M_S2, Pad, torque_limit_n_m
+from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, Pad, torque_limit_n_m
 
-FINGERS = 2
 PAD = Pad()
 RATIO_MAX = 2.5
 LEVER_MM = 60.0
@@ -133,7 +132,7 @@ def friction_of(given: float | None) -> LogNormal:
 
 def torque_n_m(force_n: float, friction: float) -> float:
     """Return the torque that both fingers hold."""
-    return FINGERS * torque_limit_n_m(force_n, friction, PAD)
+    return FINGER_COUNT * torque_limit_n_m(force_n, friction, PAD)
 
 
 def onset(force_n: float, friction: float, stiffness_n_m_rad: float) -> ElasticMotion:
@@ -142,7 +141,7 @@ def onset(force_n: float, friction: float, stiffness_n_m_rad: float) -> ElasticM
     if radius_m <= 0.0:
         return ElasticMotion()
     gel_n_m_rad = stiffness_n_m_rad * (radius_m / STIFFNESS_RADIUS_M) ** 3
-    deg = math.degrees(torque_n_m(force_n, friction) / (FINGERS * gel_n_m_rad))
+    deg = math.degrees(torque_n_m(force_n, friction) / (FINGER_COUNT * gel_n_m_rad))
     return ElasticMotion(deg, 1e3 * friction * force_n * radius_m**2 / gel_n_m_rad)
 
 
@@ -207,7 +206,7 @@ def needed_force(
         ratio: margin included. slides: without rotation.
         modelled_n: what given friction, mass and lever require; None if they are not given.
     """
-    holds = FINGERS * friction.median * present_n if slides else torque_n_m(present_n, friction.median)
+    holds = FINGER_COUNT * friction.median * present_n if slides else torque_n_m(present_n, friction.median)
     force_n = present_n * ratio ** (1.0 if slides else 1.0 / (1.0 + PAD.gamma))
     return NeededForce(holds * ratio, friction, max(force_n, modelled_n or 0.0), slides)
 

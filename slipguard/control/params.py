@@ -7,11 +7,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from slipguard.config_errors import error_at_key
-from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
+from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, Pad, force_needed_n
 
 Force = Annotated[float, Field(ge=1.0, le=235.0)]
 """Newtons per finger; 235 N is what the strongest supported gripper applies."""
-FINGERS = 2
 MODEL_RESERVE = 1.3
 """Over the force of the limit surface: a gripper may be a tenth weaker than it reports, a lift adds a tenth of load."""
 NO_ESTIMATE_FORCE_N = 100.0
@@ -154,7 +153,7 @@ class GuardParams(_Table):
         """The force per finger that friction, mass and lever require, with a reserve; None if they are not given."""
         if self.friction is None or self.mass_kg is None:
             return None
-        load_n = self.mass_kg * GRAVITY_M_S2 / FINGERS
+        load_n = self.mass_kg * GRAVITY_M_S2 / FINGER_COUNT
         return MODEL_RESERVE * force_needed_n(load_n, 1e-3 * self.lever_mm, self.friction, Pad())
 
     @model_validator(mode="after")

@@ -11,14 +11,13 @@ import numpy as np
 
 from slipguard.bench.grip.lift_run import GripOutcome, PlantName, run_lift
 from slipguard.bench.grip.scenarios import LIFT_M_S2, NEEDED_SHARE, PADS, GripScenario, draw
-from slipguard.limit_surface import GRAVITY_M_S2
+from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2
 
 ADDED_KG = 0.6
 HELD_KG = (0.3, 2.0)
 FRICTION = (0.2, 0.5)
 FIRST_GRIP = (1.02, 1.4)
 """First grip relative to the force that the object needs before mass is added."""
-FINGERS = 2
 CONTACTS = {"textured": ("key", "cap", "bar"), "plain": ("screwdriver",)}
 """The end of the screwdriver's smooth shaft alone shows that it slides: half of the distance is missed, or more."""
 REPORT_S = 0.1
@@ -48,7 +47,7 @@ def _drawn(contact: str, seed: int, number: int) -> GripScenario:
     while True:
         held_kg = float(rng.uniform(*HELD_KG))
         friction = math.exp(rng.uniform(*np.log(FRICTION)))
-        holds = FINGERS * friction * gripper.gain
+        holds = FINGER_COUNT * friction * gripper.gain
         needed_n = (held_kg + ADDED_KG) * GRAVITY_M_S2 / holds
         before_n = held_kg * (GRAVITY_M_S2 + LIFT_M_S2) / holds
         first_n = gripper.quantized_force_n(float(rng.uniform(*FIRST_GRIP)) * before_n)

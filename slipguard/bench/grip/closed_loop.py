@@ -28,12 +28,12 @@ from slipguard.control.messages import (
     StopArm,
 )
 from slipguard.daemon.loop.finger import STALE_S
+from slipguard.devices import FINGERS
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.world import World, WorldTruth
 
 STEP_S = 0.01
-FINGERS = ("left", "right")
 NOTHING = ControlRequest()
 
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.bench.grip.closed_loop import FINGERS, ClosedLoop, FingerModel
+from slipguard.bench.grip.closed_loop import ClosedLoop, FingerModel
 from slipguard.bench.grip.controllers import (
     REACHED_MM,
     Clairvoyant,
@@ -31,6 +31,7 @@ from slipguard.bench.grip.scenarios import LIFT_MM, PERCEIVING_S, ROOM_MM, GripS
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.devices import FINGERS
 from slipguard.limit_surface import GRAVITY_M_S2
 from slipguard.sim import object_motion
 from slipguard.sim.mujoco_plant import MujocoPlant

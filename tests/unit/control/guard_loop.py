@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from records import changed
 
-from slipguard.bench.grip.closed_loop import FINGERS, STEP_S, ClosedLoop
+from slipguard.bench.grip.closed_loop import STEP_S, ClosedLoop
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
 from slipguard.bench.grip.scenarios import scaled
@@ -15,6 +15,7 @@ from slipguard.control.control_step import ControlState
 from slipguard.control.messages import ControlRequest, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.devices import FINGERS
 from slipguard.sim.friction import SoftPad
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.sim_object import SimObject
