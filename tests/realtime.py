@@ -132,13 +132,13 @@ def _own_s() -> float:
 def _descendants_s() -> float:
     """Return the processor time of the processes below this one that have not ended yet."""
     children: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    for path in Path("/proc").glob("[0-9]*/stat"):
+    for pid in filter(str.isdecimal, os.listdir("/proc")):
         try:
-            fields = path.read_text().rpartition(")")[2].split()
+            fields = Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()
         except OSError:
             continue  # it has ended meanwhile
         ticks = sum(int(field) for field in fields[11:15])
-        children[int(fields[1])].append((int(path.parent.name), ticks))
+        children[int(fields[1])].append((int(pid), ticks))
     total, parents = 0, [os.getpid()]
     while parents:
         for child, ticks in children[parents.pop()]:
