@@ -52,9 +52,10 @@ def start(folder: Path, *words: str) -> subprocess.Popen[str]:
 def children(pid: int) -> list[int]:
     """Processes whose parent is `pid`, and theirs."""
     found = []
-    for status in Path("/proc").glob("[0-9]*/status"):
+    for each in filter(str.isdecimal, os.listdir("/proc")):
         try:
-            lines = dict(line.split(":\t", 1) for line in status.read_text().splitlines() if ":\t" in line)
+            status = Path("/proc", each, "status").read_text()
+            lines = dict(line.split(":\t", 1) for line in status.splitlines() if ":\t" in line)
         except OSError:
             continue
         if int(lines["PPid"]) == pid and not lines["State"].startswith("Z"):
