@@ -1,4 +1,4 @@
-"""Lifts on the virtual clock with rendered frames, some of them torn: drops, and tightenings that no slip caused."""
+"""Lifts on the virtual clock with rendered frames, some of them torn: drops, and tightenings that no motion caused."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
+from slipguard.sim.catalogue import find_object
 from slipguard.sim.scenario import CameraModel, scenario
 from slipguard.sim.world import World
 from slipguard.sim_lifts.campaign import STATED_LATENCY_S, CampaignSettings, campaign_config
@@ -23,8 +24,25 @@ from slipguard.tools.waiting import wait_until
 
 HOLD_S = 3.0
 PHASE_TIMEOUT_S = 15.0
-MOVED_WITHIN_S, MOVED_DEG = 0.5, 0.3
-"""A tightening has a cause if the object has really rotated by this much within this time before it."""
+MOVED_WITHIN_S, MOVED_DEG, MOVED_MM = 0.5, 0.3, 0.1
+"""A tightening has a cause if the object has really rotated or slid by this much within this time before it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiftKind:
+    """A kind of lift. force_share: first force over the needed one. mass, lever: factors on those of the object."""
+
+    force_share: float
+    mass: float = 1.0
+    lever: float = 1.0
+
+
+LIFT_KINDS = {
+    "firm": LiftKind(5.0, mass=0.1, lever=0.5),
+    "rotates": LiftKind(0.85),
+    "slides": LiftKind(0.85, lever=0.03),
+}
+"""Without tears nothing is dropped in any of them, and hardly a firm grip is tightened."""
 
 
 class TearingWorld(World):
@@ -39,14 +57,17 @@ class TearingWorld(World):
 
 @dataclass(slots=True)
 class TornLift:
-    """One lift. tightenings: commands that raised the force while held; causeless: those without a rotation."""
+    """One lift. tightenings: commands that raised the force while held; causeless: those without a motion before."""
 
     object_name: str
+    kind: str
     share: float
+    seed: int = 0
     outcome: str = "held"
     tightenings: int = 0
     causeless: int = 0
     rotation_deg: float = 0.0
+    slip_mm: float = 0.0
     force_n: float = 0.0
     frames: int = 0
     torn: int = 0
@@ -62,35 +83,50 @@ class TornLift:
         return figures
 
 
-def torn_lift(object_name: str, share: float, seed: int = 0) -> TornLift:
-    """Grasp, lift, hold and release one object with this share of torn frames in both cameras."""
+def torn_lift(object_name: str, kind: str, share: float, seed: int = 0) -> TornLift:
+    """Grasp, lift, hold and release one object with this share of torn frames in both cameras.
+
+    Equal arguments give equal lifts; the share changes nothing but the tears.
+    """
     with tempfile.TemporaryDirectory(prefix="slipguard-torn-") as folder:
-        return run_virtual(_lift(object_name, share, seed, Path(folder)))
+        return run_virtual(_lift(TornLift(object_name, kind, share, seed), Path(folder)))
 
 
-async def _lift(object_name: str, share: float, seed: int, folder: Path) -> TornLift:
-    record, world, loop = TornLift(object_name, share), TearingWorld(seed=seed), asyncio.get_running_loop()
+async def _lift(record: TornLift, folder: Path) -> TornLift:
+    kind, loop = LIFT_KINDS[record.kind], asyncio.get_running_loop()
+    item = find_object(record.object_name)
+    item = replace(
+        item,
+        com_offset_mm=kind.lever * item.com_offset_mm,
+        mass_kg=kind.mass * item.mass_kg,
+        inertia_kg_m2=kind.mass * item.inertia_kg_m2,
+    )
+    world = TearingWorld(seed=record.seed, lookup=lambda _name: item)
     config = campaign_config(CampaignSettings(realtime=False), folder)
     service = build_service(config, world=world, make_worker=lambda name: FixedLatencyWorker(STATED_LATENCY_S))
     handlers = RequestHandlers(service)
-    rotations: list[tuple[float, float]] = []
+    poses: list[tuple[float, float, float]] = []
     held = False
+
+    def moved(now_s: float) -> bool:
+        recent = np.array([pose for pose in poses if pose[0] >= now_s - MOVED_WITHIN_S])
+        _, deg, mm = np.ptp(recent, axis=0)
+        return bool(deg >= MOVED_DEG or mm >= MOVED_MM)
 
     def decided(decision: Decision) -> None:
         nonlocal held
         now_s, truth = loop.time(), world.truth(loop.time())
         if truth.dropped is not None:
             return
-        rotations.append((now_s, truth.rotation_deg))
+        poses.append((now_s, truth.rotation_deg, truth.slip_mm))
         force_n, fused = decision.output.hold_force_n, decision.observation.fused
         lifted = decision.phase in (Phase.LIFTING, Phase.HOLDING)
-        if lifted and held and force_n is not None and force_n > truth.force_n + 0.5:
+        if lifted and held and force_n is not None and force_n > truth.applied_n + 0.5:
             record.tightenings += 1
-            recent = [deg for at_s, deg in rotations if at_s >= now_s - MOVED_WITHIN_S]
-            record.causeless += max(recent) - min(recent) < MOVED_DEG
+            record.causeless += not moved(now_s)
         held = held or lifted
         if lifted and decision.new_estimates and fused is not None and fused.rotation_deg is not None:
-            times_s, degs = np.array(rotations).T
+            times_s, degs, _ = np.array(poses).T
             record.errors_deg.append(abs(fused.rotation_deg - float(np.interp(fused.captured_at_s, times_s, degs))))
 
     running = asyncio.create_task(service.run(), name="service")
@@ -101,24 +137,26 @@ async def _lift(object_name: str, share: float, seed: int, folder: Path) -> Torn
             running,
             lambda: service.phase in ended or world.truth(loop.time()).dropped is not None,
             PHASE_TIMEOUT_S,
-            f"{object_name}: {phase} was not reached",
+            f"{record.object_name}: {phase} was not reached",
         )
 
     try:
         await wait_until(running, lambda: not service.waiting_for, 30.0, "the devices are not ready")
         await handlers.submit(CalibrateRequest())
-        world.tear_probability = share
-        world.place(scenario(object_name, seed), loop.time())
+        world.tear_probability = record.share
+        world.place(scenario(record.object_name, record.seed), loop.time())
         service.observers.append(decided)
-        await handlers.submit(GraspRequest())
-        await wait_until(running, lambda: service.ready_to_lift, PHASE_TIMEOUT_S, f"{object_name}: not gripped")
+        force_n = kind.force_share * world.truth(loop.time()).needed_force_n
+        await handlers.submit(GraspRequest(force_n=force_n))
+        await wait_until(running, lambda: service.ready_to_lift, PHASE_TIMEOUT_S, f"{record.object_name}: not gripped")
         await handlers.submit(LiftRequest())
         await until(Phase.HOLDING)
         await asyncio.sleep(HOLD_S)
         truth = world.truth(loop.time())
         fault = service.state.fault
         record.outcome = "dropped" if truth.dropped else f"fault: {fault.code}" if fault else "held"
-        record.rotation_deg, record.force_n = round(truth.rotation_deg, 1), round(truth.force_n, 1)
+        record.rotation_deg, record.slip_mm = round(truth.rotation_deg, 1), round(truth.slip_mm, 2)
+        record.force_n = round(truth.force_n, 1)
         for finger in service.fingers.values():
             record.frames += finger.capture.counts.frames
             record.torn += finger.capture.counts.torn

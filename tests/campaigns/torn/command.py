@@ -5,7 +5,7 @@ from __future__ import annotations
 import json as jsonlib
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from itertools import chain, pairwise
+from itertools import chain, pairwise, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from slipguard.perception.quality.torn_frame import find_tear
 from slipguard.sim.catalogue import object_names
 from tests.campaigns.torn.angle_errors import angle_errors
-from tests.campaigns.torn.closed_loop import torn_lift
+from tests.campaigns.torn.closed_loop import LIFT_KINDS, torn_lift
 from tests.campaigns.torn.splices import (
+    ALONG,
     EDGES_LEVELS,
     SpliceResult,
     half_size,
@@ -25,6 +26,7 @@ from tests.campaigns.torn.splices import (
     real_good_pairs,
     rendered_captures,
     rendered_good_pairs,
+    rotated_real_captures,
     splice_results,
 )
 
@@ -34,6 +36,8 @@ TORN_SHARE = 0.25
 CLEAR, CLEAR_SHARE_MIN, CLEAR_COUNT_MIN = ">10", 0.9, 50
 """Class of difference in which tears must be found, how many, and of how many at least. Tears in the outer four lines
 cannot be found."""
+BANDS, VISIBLE_LEVELS = 8, 4.0
+"""Bands of lines by which detection is counted, of tears whose captures differ by this much at the line."""
 ERROR_MAX_DEG = 3.0
 """Largest accepted error of an undetected torn frame: less than its grasps rotate in one frame (5 degrees)."""
 
@@ -43,29 +47,41 @@ def torn_frames(
     units: Annotated[int, typer.Option(min=1, help="Rendered sensor units.")] = 6,
     every: Annotated[int, typer.Option(min=1, help="Splice at every n-th row and column.")] = 1,
     lifts: Annotated[int, typer.Option(min=0, help="Objects lifted at 0, 5 and 40 % torn frames.")] = 10,
+    seeds: Annotated[int, typer.Option(min=1, help="Grasps of each object.")] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Splice frames at every line: detected tears, false alarms, angle errors, lifts. Exit 1 if a limit is exceeded.
 
     Example: `python -m tests.campaigns torn-frames --real real_digit`
     """
-    found = campaign_figures(real, units, every, lifts)
+    found = campaign_figures(real, units, every, lifts, seeds)
     failures = violations(found)
     print(jsonlib.dumps(found | {"failures": failures}) if json else "\n".join([*_lines(found), *failures]))
     if failures:
         raise typer.Exit(1)
 
 
-def campaign_figures(real: Path | None, units: int, every: int, lifts: int) -> dict[str, Any]:
+def campaign_figures(real: Path | None, units: int, every: int, lifts: int, seeds: int) -> dict[str, Any]:
     """Return all figures as a JSON object."""
-    captures = chain(rendered_captures(units), real_captures(real, 20 * units) if real else ())
-    pairs = chain(rendered_good_pairs(20 * units, seed=1), real_good_pairs(real) if real else ())
+    captures = rendered_captures(units)
+    pairs = rendered_good_pairs(20 * units, seed=1)
+    if real is not None:
+        captures = chain(captures, real_captures(real, 20 * units), rotated_real_captures(real, 10 * units))
+        pairs = chain(pairs, real_good_pairs(real))
     names = object_names("test")
+    splices = list(chain.from_iterable(splice_results(one, every) for one in captures))
     return {
-        "detection": detection_table(chain.from_iterable(splice_results(one, every) for one in captures)),
+        "detection": detection_table(splices),
+        "detection_by_line": detection_by_line(splices),
         "false_alarms": false_alarms(pairs),
         "angle_errors": angle_errors(names[: 2 * units], TORN_SHARE, seeds=max(units // 5, 1)).as_json(),
-        "lifts": [torn_lift(name, share).as_json() for name in names[:lifts] for share in SHARES],
+        "lifts": [
+            torn_lift(name, kind, share, seed).as_json()
+            for seed in range(seeds)
+            for name in names[:lifts]
+            for kind in LIFT_KINDS
+            for share in SHARES
+        ],
     }
 
 
@@ -83,6 +99,23 @@ def detection_table(results: Iterable[SpliceResult]) -> dict[str, dict[str, list
             if name in of
         }
         for kind, of in classes.items()
+    }
+
+
+def detection_by_line(splices: Iterable[SpliceResult]) -> dict[str, dict[str, list[list[float]]]]:
+    """Return by kind, rows or columns, and band of lines: [detected share, number], of visible tears."""
+    bands: dict[str, dict[str, list[list[bool]]]] = defaultdict(
+        lambda: {along: [[] for _ in range(BANDS)] for along in ALONG}
+    )
+    for one in splices:
+        if one.levels > VISIBLE_LEVELS:
+            bands[one.kind][one.along][int(one.line * BANDS)].append(one.found)
+    return {
+        kind: {
+            along: [[round(float(np.mean(band)), 3) if band else 0.0, len(band)] for band in of]
+            for along, of in both.items()
+        }
+        for kind, both in bands.items()
     }
 
 
@@ -109,8 +142,14 @@ def violations(found: dict[str, Any]) -> list[str]:
     if errors["false"] or errors["undetected_max_deg"] > ERROR_MAX_DEG:
         lines.append(f"angle errors: {errors}")
     for lift in lifts:
-        alone = next(one for one in lifts if (one["object_name"], one["share"]) == (lift["object_name"], 0.0))
-        if lift["outcome"] != alone["outcome"] or lift["causeless"] > alone["causeless"]:
+        key = [lift[name] for name in ("object_name", "kind", "seed")]
+        alone = next(
+            one
+            for one in lifts
+            if one["share"] == 0.0 and [one[name] for name in ("object_name", "kind", "seed")] == key
+        )
+        firm = lift["kind"] == "firm"
+        if lift["outcome"] != "held" or lift["causeless"] > 0 or (firm and lift["tightenings"] > alone["tightenings"]):
             lines.append(f"lift: {lift}; without tears: {alone}")
     return lines
 
@@ -119,7 +158,23 @@ def _lines(found: dict[str, Any]) -> Iterator[str]:
     yield "detected share (number) by difference of the captures at the line, gray levels rms:"
     for kind, of in found["detection"].items():
         yield f"  {kind}: " + ", ".join(f"{name}: {share:.1%} ({count})" for name, (share, _, count) in of.items())
+    yield f"the same above {VISIBLE_LEVELS:g} levels, by the line of the tear, in {BANDS} bands from first to last:"
+    for kind, both in found["detection_by_line"].items():
+        for along, bands in both.items():
+            yield f"  {kind}, {along}s: " + ", ".join(f"{share:.0%} ({count})" for share, count in bands)
     yield "good frames taken for torn:"
     yield from (f"  {kind}: {bad} of {count}" for kind, (bad, count) in found["false_alarms"].items())
     yield f"angle errors with {TORN_SHARE:.0%} torn: {found['angle_errors']}"
-    yield from (str(lift) for lift in found["lifts"])
+    yield from lift_lines(found["lifts"])
+
+
+def lift_lines(lifts: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the sums over all objects by kind of lift and share of torn frames, and then every lift."""
+    for kind, share in product(LIFT_KINDS, SHARES):
+        of = [one for one in lifts if (one["kind"], one["share"]) == (kind, share)]
+        sums = ", ".join(
+            f"{sum(one[name] for one in of)} {name}" for name in ("tightenings", "causeless", "torn", "restarts")
+        )
+        held = sum(one["outcome"] == "held" for one in of)
+        yield f"{kind}, {share:.0%} torn: {held} of {len(of)} held, {sums}"
+    yield from (str(lift) for lift in lifts)

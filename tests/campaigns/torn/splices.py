@@ -19,6 +19,7 @@ from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR, SensorUnit, random_unit
 from slipguard.tools.image_files import read_bgr
+from tests.campaigns.rotated_presses import press_images, rotated_difference
 
 Image = NDArray[np.uint8]
 ALONG = ("column", "row")
@@ -27,6 +28,8 @@ STEPS_DEG = {"still": 0.0, "60°/s": 1.0, "300°/s": 5.0, "1500°/s": 25.0}
 """Rotation from one capture to the next."""
 EDGES_LEVELS = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0, 1e3)
 """Classes of the difference between the captures at the line, gray levels."""
+SMOOTH = ("knife_edge", "ring", "hook")
+"""Test objects without texture; of the real presses, the balls are smooth and the indenter has edges."""
 _BLUR_PX = 9
 
 _BOXES = {
@@ -48,9 +51,16 @@ class Captures:
 
 @dataclass(frozen=True, slots=True)
 class SpliceResult:
-    """One torn frame. levels: rms difference between its captures at the line, without that of the light."""
+    """One torn frame.
+
+    Attributes:
+        line: the first one of the second capture, as a share of all lines.
+        levels: rms difference between its captures at the line, without that of the light.
+    """
 
     kind: str
+    along: str
+    line: float
     levels: float
     found: bool
     at_line: bool
@@ -67,7 +77,8 @@ def rendered_captures(units: int, seed: int = 0) -> Iterator[Captures]:
             for speed, step_deg in STEPS_DEG.items():
                 rate = step_deg / FRAME_S
                 poses = [replace(start, angle_deg=start.angle_deg + k * step_deg, rate_deg_s=rate) for k in (0, 0, 1)]
-                yield Captures(f"rendered, {speed}", *(camera.draw(pose) for pose in poses))
+                surface = "smooth" if name in SMOOTH else "textured"
+                yield Captures(f"rendered, {surface}, {speed}", *(camera.draw(pose) for pose in poses))
 
 
 def rendered_good_pairs(units: int, seed: int = 0) -> Iterator[tuple[str, Image, Image]]:
@@ -124,6 +135,21 @@ def real_captures(folder: Path, pairs: int, seed: int = 0) -> Iterator[Captures]
             yield captures("real, any two", images[name][one], images[name][other])
 
 
+def rotated_real_captures(folder: Path, presses: int, seed: int = 0) -> Iterator[Captures]:
+    """Yield captures of real presses that rotate, relit, at each speed of rotation."""
+    rng = np.random.default_rng(seed)
+    noise = CameraNoise(NOISE_STD_BGR, STRIPE_STD_BGR, seed)
+    every = list(press_images(folder))
+    for number in rng.choice(len(every), min(presses, len(every)), replace=False):
+        press, start_deg = every[number], float(rng.uniform(0.0, 180.0))
+        surface = "edges" if press.readable else "smooth"
+        for speed, step_deg in STEPS_DEG.items():
+            angles = (start_deg, start_deg, start_deg + step_deg)
+            images = [press.background + rotated_difference(press, angle, "relit") + noise.next() for angle in angles]
+            rounded = (np.clip(np.rint(image), 0, 255).astype(np.uint8) for image in images)
+            yield Captures(f"real, rotated, {surface}, {speed}", *rounded)
+
+
 def real_good_pairs(folder: Path) -> Iterator[tuple[str, Image, Image]]:
     """Yield every ordered pair of frames of one unit: none of them is torn after any of the others."""
     for name, images in real_images(folder).items():
@@ -154,7 +180,7 @@ def splice_results(captures: Captures, every: int = 1) -> Iterator[SpliceResult]
         for line in range(1 + (count + every) // 2 % every, count, every):
             tear = find_tear(spliced(captures.first, captures.second, along, line), captures.previous)
             at_line = tear is not None and (tear.along, tear.line) == (along, line)
-            yield SpliceResult(captures.kind, float(levels[line]), tear is not None, at_line)
+            yield SpliceResult(captures.kind, along, line / count, float(levels[line]), tear is not None, at_line)
 
 
 def _difference_levels(captures: Captures, along: str) -> NDArray[np.float32]:
