@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 import structlog
 from loop_cell import Cell, play
@@ -128,11 +132,80 @@ def test_one_exception_of_a_pipeline_costs_one_frame() -> None:
     play(Cell(), scene)
 
 
+NOT_A_STATE = "loop_doubles.LoggedGripper: TypeError: state() returned dict, not GripperState"
+INVALID = [
+    ("gripper", "width_mm", None),
+    ("gripper", "width_mm", math.nan),
+    ("gripper", "force_n", None),
+    ("gripper", "force_n", np.float32(40.0)),
+    ("gripper", "measured_at_s", None),
+    ("gripper", "measured_at_s", 1.8e9),
+    ("gripper", "holding", np.True_),
+    ("gripper", "fault", ""),
+    ("arm", "height_mm", None),
+    ("arm", "speed_mm_s", math.inf),
+    ("arm", "measured_at_s", 1.8e9),
+    ("arm", "position_mm", (1.0, 2.0)),
+]
+
+
 def test_a_state_of_the_wrong_type_is_an_error_of_the_driver() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         cell.gripper.state = returning_a_dict  # type: ignore[assignment,method-assign]
-        await cell.until(lambda: reported(cell, "gripper", "state() returned dict, not GripperState"), 1.0)
+        await cell.until(lambda: reported(cell, "gripper", NOT_A_STATE), 1.0)
+
+    play(Cell(), scene)
+
+
+@pytest.mark.parametrize(("device", "field", "value"), INVALID)
+def test_an_invalid_value_in_a_state_is_an_error_of_the_driver(device: str, field: str, value: object) -> None:
+    """It would end the loop, or make a silent device look alive."""
+
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        driver = getattr(cell, device)
+        valid = driver.state
+
+        async def state() -> object:
+            return replace(await valid(), **{field: value})
+
+        driver.state = state
+        await cell.until(lambda: reported(cell, device, f"ValueError: state().{field} is "), 1.0)
+        await cell.handlers.state()
+        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+        del driver.state
+        await cell.until(lambda: not cell.service.waiting_for, 2.0)
+
+    play(Cell(), scene)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"image": np.zeros((240, 320, 3), np.uint8)},
+        {"image": np.zeros((320, 240, 3), np.float32)},
+        {"image": None},
+        {"captured_at_s": None},
+        {"sequence": None},
+        None,
+    ],
+)
+def test_an_invalid_frame_is_an_error_of_the_driver(change: dict[str, Any] | None) -> None:
+    async def scene(cell: Cell) -> None:
+        await cell.grasp()
+        sensor = cell.sensors["left"]
+        valid = sensor.next_frame
+
+        async def next_frame() -> object:
+            frame = await valid()
+            return None if change is None else replace(frame, **change)
+
+        sensor.next_frame = next_frame  # type: ignore[method-assign,assignment]
+        await cell.until(lambda: reported(cell, "left", "loop_doubles.FlatSensor: "), 1.0)
+        assert cell.phase is Phase.HOLDING, "the other finger guards"
+        del sensor.next_frame
+        await cell.until(lambda: not cell.service.waiting_for, 3.0)
 
     play(Cell(), scene)
 

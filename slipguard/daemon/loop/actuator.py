@@ -44,7 +44,7 @@ class Actuator(Generic[S]):
         retry_s: Sets the pauses before a missing device is tried again.
         on_change: Called when the device's health changes, and with the state that follows a command.
         on_refusal: Receives the reason why a command was refused, in one line.
-        state_type: Type of the device's state; another one counts as an error of the driver.
+        check: Returns a valid state; raises an error of the driver for any other.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Actuator(Generic[S]):
         retry_s: float,
         on_change: Callable[[], None],
         on_refusal: Callable[[str], None],
-        state_type: type | None = None,
+        check: Callable[[S, float], S] = lambda state, now_s: state,
     ) -> None:
         self.name = name
         self.health = Health(name)
@@ -74,7 +74,7 @@ class Actuator(Generic[S]):
         self._reported: str | None = None
         self._on_change = on_change
         self._on_refusal = on_refusal
-        self._state_type = state_type
+        self._check = check
 
     def command(self, action: Action, *, urgent: bool = False) -> None:
         """Carry out `action` as soon as the device is free. urgent: only an urgent command may replace it."""
@@ -146,11 +146,6 @@ class Actuator(Generic[S]):
                 self._reported = reason
                 self._on_refusal(self._reported)
 
-    def _checked(self, state: S) -> S:
-        if self._state_type is not None and not isinstance(state, self._state_type):
-            raise TypeError(f"state() returned {type(state).__name__}, not {self._state_type.__name__}")
-        return state
-
     async def _serve(self) -> None:
         loop = asyncio.get_running_loop()
         next_poll_s = loop.time()
@@ -163,7 +158,7 @@ class Actuator(Generic[S]):
                     await action()
                 if action is not None or loop.time() >= next_poll_s:
                     asked_at_s = loop.time()
-                    self.newest = self._checked(await self._device.state())
+                    self.newest = self._check(await self._device.state(), loop.time())
                     self.round_trips_s.append(loop.time() - asked_at_s)
                     self.polled += 1
                     if action is not None or not self.health.ready:

@@ -12,6 +12,7 @@ from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained, failure_reason
+from slipguard.daemon.loop.driver_values import checked_frame
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen
 
@@ -198,7 +199,7 @@ class SensorCapture:
                 await self._restart()
                 failing_since_s = sequence = None
             try:
-                frame = await self.sensor.next_frame()
+                frame = checked_frame(await self.sensor.next_frame())
             except (FrameCorrupt, FrameFrozen, DeviceTimeout) as error:
                 self.counts.add_error(error)
                 self._report_error(str(error))

@@ -14,6 +14,7 @@ from slipguard.daemon.loop.device_health import Health
 from slipguard.errors import SlipguardError
 
 log = structlog.get_logger()
+HERE = Path(__file__).parent
 DRIVER_ERRORS = (Exception, asyncio.CancelledError)
 """A driver may raise CancelledError itself, for example where a library cancels a future: call `raise_if_cancelled`."""
 
@@ -39,9 +40,12 @@ def failure_reason(source: object, error: BaseException, health: Health) -> str:
 
 
 def error_place(source: object, error: BaseException) -> str:
-    """Return the name of a class or function, and the file and line in which the exception was raised."""
+    """Return the name of a class or function, and the file and line in which the exception was raised.
+
+    The place is left out if it is in this folder, where a returned value was found to be invalid.
+    """
     source = getattr(source, "func", source)  # of a partial
-    place = traceback.extract_tb(error.__traceback__)[-1:]
+    place = [frame for frame in traceback.extract_tb(error.__traceback__)[-1:] if Path(frame.filename).parent != HERE]
     where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in place)
     return f"{source.__module__}.{getattr(source, '__qualname__', type(source).__qualname__)}{where}"
 

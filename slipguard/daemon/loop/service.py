@@ -41,6 +41,7 @@ from slipguard.daemon.loop.async_tools import Ticker
 from slipguard.daemon.loop.capture import StreamRestarts
 from slipguard.daemon.loop.decision import Decision, LatencyStats
 from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
+from slipguard.daemon.loop.driver_values import checked_arm_state, checked_gripper_state
 from slipguard.daemon.loop.event_log import EventLog
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate
 from slipguard.daemon.loop.observers import Observers
@@ -115,9 +116,9 @@ class Service:
             left.skip_frames_after(right, config.perception.refresh_s)
             right.skip_frames_after(left, config.perception.refresh_s)
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, wake, warning, GripperState
+            "gripper", gripper, poll_s, retry_s, wake, warning, checked_gripper_state
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, wake, warning, ArmState)
+        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, wake, warning, checked_arm_state)
         self._requests = RequestQueue()
         self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
