@@ -11,7 +11,7 @@ from typing import Literal
 
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError
-from slipguard_drivers.host_lookup import resolve_host
+from slipguard.host_lookup import resolve_host
 from slipguard_drivers.ur5.dashboard import DashboardClient
 from slipguard_drivers.ur5.preconditions import SCRIPT_PORT
 from slipguard_drivers.ur5.rtde import RATE_HZ, check_port

@@ -14,7 +14,7 @@ import struct
 from collections.abc import Sequence
 
 from slipguard.errors import CommandRefused, DeviceLost
-from slipguard_drivers.host_lookup import resolve_host
+from slipguard.host_lookup import resolve_host
 
 PORT = 30004
 RATE_HZ = 125.0

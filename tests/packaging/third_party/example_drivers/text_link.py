@@ -4,6 +4,7 @@ import asyncio
 from itertools import count
 
 from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
+from slipguard.host_lookup import resolve_host
 
 
 class TextLink:
@@ -21,10 +22,11 @@ class TextLink:
         if self._streams is None:
             try:
                 async with asyncio.timeout(self._timeout_s):
-                    self._streams = await asyncio.open_connection(self._host, self._port)
+                    # asyncio's own lookup of a name would block threads that other devices need.
+                    self._streams = await asyncio.open_connection(await resolve_host(self._host), self._port)
             except (OSError, TimeoutError) as error:
-                where = f"{self._host}:{self._port}"
-                raise DeviceLost(f"{self._name}: no connection to {where} ({error}). Check power and cable.") from None
+                why = f"{self._host}:{self._port} ({str(error) or 'no answer'})"
+                raise DeviceLost(f"{self._name}: no connection to {why}. Check power and cable.") from None
 
     async def ask(self, request: str) -> list[str]:
         """Send one request and return the words of its response."""

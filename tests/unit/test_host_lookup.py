@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from slipguard.errors import DeviceLost
-from slipguard_drivers.host_lookup import HostLookup
+from slipguard.host_lookup import HostLookup
 from slipguard_drivers.ur5 import rtde
 
 Address = tuple[socket.AddressFamily, int, int, str, tuple[Any, ...]]
@@ -58,6 +60,19 @@ async def test_a_dead_name_server_takes_one_thread_of_its_own(
     assert (server.asked, lookups()) == (1, 1)
     async with asyncio.timeout(10.0):
         assert await asyncio.to_thread(lambda: "free") == "free"
+
+
+async def test_the_example_driver_leaves_the_shared_threads_free(
+    server: NameServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "packaging" / "third_party")
+    text_link = importlib.import_module("example_drivers.text_link")
+    monkeypatch.setattr(text_link, "resolve_host", HostLookup().resolve)
+    link = text_link.TextLink("gripper", "gripper.example", 5001, 20.0)
+    for _ in range(40):
+        with pytest.raises(DeviceLost, match=r"no connection to gripper\.example:5001 \(no answer\)"):
+            await link.open()
+    assert (server.asked, lookups()) == (1, 1)
 
 
 async def test_the_last_known_address_is_used_while_the_name_server_is_dead(
