@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Iterator, Sequence
 
+from slipguard.daemon.loop.driver_values import checked_gripper_state
 from slipguard.devices import ACTIVATION_HINT, Gripper, GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
@@ -44,7 +45,7 @@ async def check_gripper(name: str, gripper: Gripper) -> AsyncIterator[CheckResul
         for _ in range(READS):
             asked_at_s = loop.time()
             try:
-                state = await gripper.state()
+                state = checked_gripper_state(await gripper.state(), asked_at_s)
                 trips_s.append(loop.time() - asked_at_s)
             except DeviceTimeout:
                 lost += 1

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from slipguard.daemon.loop.driver_values import checked_frame
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import TactileSensor
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
@@ -89,7 +90,7 @@ async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics
     end_s = loop.time() + FIRST_FRAME_S
     while (now_s := loop.time()) < end_s:
         try:
-            frame = await sensor.next_frame()
+            frame = checked_frame(await sensor.next_frame())
         except DeviceLost as error:
             statistics.loss = str(error)
             return statistics

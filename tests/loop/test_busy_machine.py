@@ -101,6 +101,24 @@ def test_a_loop_that_is_late_again_and_again_is_named() -> None:
     play(Cell("wrench", 1), scene)
 
 
+@pytest.mark.parametrize("device", ["gripper", "arm"])
+@pytest.mark.parametrize("busy", [True, False])
+def test_a_silent_device_is_not_blamed_alone_if_the_loop_was_late(device: str, busy: bool) -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await cell.ready()
+        cell.world.faults.fail(device, "timeout")
+        for _ in range(100):
+            await asyncio.sleep(PERIOD_S)
+            stand_still(4 * PERIOD_S * busy)
+        (line,) = (line for line in cell.service.event_log.lines if line.startswith(f"{device}: "))
+        assert ("this machine is too busy (the control loop was late for 0." in line) is busy
+        reason = cell.service.devices[device].health.reason
+        assert ("this machine is too busy" in reason) is busy
+
+    play(Cell("wrench", 1), scene)
+
+
 def test_workers_that_are_late_are_named() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()

@@ -16,22 +16,12 @@ class FrameRateMonitor:
 
     def __init__(self, requested_fps: float) -> None:
         self.remark: str | None = None
-        self.fps: float | None = None
-        """Frames per second received in the last complete window; None before the first."""
-        self.received = 0
-        self.lost = 0
-        """Frames that the camera driver counted and this program did not read."""
         self._requested_fps = requested_fps
-        self._sequence: int | None = None
         self._window_start: tuple[float, int] | None = None
         self._in_window = 0
 
     def note(self, captured_at_s: float, sequence: int) -> None:
         """Count a received frame, damaged or not."""
-        self.received += 1
-        if self._sequence is not None:
-            self.lost += max(0, sequence - self._sequence - 1)
-        self._sequence = sequence
         start = self._window_start
         if start is None or sequence < start[1] or captured_at_s < start[0]:
             self._window_start, self._in_window = (captured_at_s, sequence), 0
@@ -42,7 +32,6 @@ class FrameRateMonitor:
             return
         delivered_fps, received_fps = (sequence - start[1]) / elapsed_s, self._in_window / elapsed_s
         self._window_start, self._in_window = (captured_at_s, sequence), 0
-        self.fps = received_fps
         self.remark = self._rate_remark(delivered_fps, received_fps)
 
     def _rate_remark(self, delivered_fps: float, received_fps: float) -> str | None:

@@ -45,6 +45,7 @@ class Actuator(Generic[S]):
         on_change: Called when the device's health changes, and with the state that follows a command.
         on_refusal: Receives the reason why a command was refused, in one line.
         check: Returns a valid state; raises an error of the driver for any other.
+        explain: Returns what may explain a device's silence other than the device, to be appended to its reason.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class Actuator(Generic[S]):
         on_change: Callable[[], None],
         on_refusal: Callable[[str], None],
         check: Callable[[S, float], S] = lambda state, now_s: state,
+        explain: Callable[[], str] = str,
     ) -> None:
         self.name = name
         self.health = Health(name)
@@ -75,6 +77,7 @@ class Actuator(Generic[S]):
         self._on_change = on_change
         self._on_refusal = on_refusal
         self._check = check
+        self._explain = explain
 
     def command(self, action: Action, *, urgent: bool = False) -> None:
         """Carry out `action` as soon as the device is free. urgent: only an urgent command may replace it."""
@@ -108,7 +111,9 @@ class Actuator(Generic[S]):
                     await self._serve()
                 except DRIVER_ERRORS as error:
                     raise_if_cancelled()
-                    self.health.set_disconnected(failure_reason(self._device, error, self.health))
+                    reason = failure_reason(self._device, error, self.health)
+                    explanation = self._explain() if isinstance(error, DeviceError) else ""
+                    self.health.set_disconnected(f"{reason}{explanation}")
                     self.newest = None
                     self._on_change()
                     await close_contained(self._device, self.health)
@@ -171,7 +176,7 @@ class Actuator(Generic[S]):
             except DeviceLost:
                 raise
             except DeviceError as error:
-                self.health.set_error(str(error))
+                self.health.set_error(f"{error}{self._explain()}")
                 self._on_change()
                 next_poll_s = loop.time() + self._poll_s
             finally:

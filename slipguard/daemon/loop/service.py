@@ -53,6 +53,8 @@ from slipguard.errors import CommandRefused
 from slipguard.perception.estimate import Estimate
 
 BUSY_WINDOW_S = 1.0
+BUSY_S = 0.05
+"""A loop that was late for this long may have read a response too late; a gripper has 50 ms to respond."""
 
 Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, StepOutput]]
 log = structlog.get_logger()
@@ -116,9 +118,11 @@ class Service:
             left.skip_frames_after(right, config.perception.refresh_s)
             right.skip_frames_after(left, config.perception.refresh_s)
         self.gripper: Actuator[GripperState] = Actuator(
-            "gripper", gripper, poll_s, retry_s, wake, warning, checked_gripper_state
+            "gripper", gripper, poll_s, retry_s, wake, warning, checked_gripper_state, self._explain_silence
         )
-        self.arm: Actuator[ArmState] = Actuator("arm", arm, poll_s, retry_s, wake, warning, checked_arm_state)
+        self.arm: Actuator[ArmState] = Actuator(
+            "arm", arm, poll_s, retry_s, wake, warning, checked_arm_state, self._explain_silence
+        )
         self._requests = RequestQueue()
         self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
@@ -274,6 +278,14 @@ class Service:
         while self._late and now_s - self._late[0][0] >= BUSY_WINDOW_S:
             self._late.popleft()
         return min(sum(late_s for _, late_s in self._late), BUSY_WINDOW_S)
+
+    def _explain_silence(self) -> str:
+        """Return that this machine may be too busy, as the end of a line; nothing if the loop was on time."""
+        busy_s = 0.0 if self.observation is None else self.observation.busy_s
+        if busy_s < BUSY_S:
+            return ""
+        late = f"the control loop was late for {busy_s:.2f} s of the last second"
+        return f". Or this machine is too busy ({late}): end other programs"
 
     def _take_new_estimates(self) -> dict[str, TimedEstimate]:
         """Return by finger the estimates that this cycle is the first to use."""

@@ -228,6 +228,25 @@ async def test_a_driver_that_fails_is_one_more_finding(monkeypatch: pytest.Monke
     assert "ZeroDivisionError: oops" in found[1].observed
 
 
+async def test_an_invalid_state_of_a_gripper_is_a_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    class OtherClock(Plain):
+        force_limits_n = (10.0, 100.0)
+
+        async def open(self) -> None:
+            return
+
+        async def state(self) -> GripperState:
+            return GripperState(True, False, False, False, 85.0, 0.0, None, datetime.now(UTC).timestamp())
+
+        async def close(self) -> None:
+            return
+
+    monkeypatch.setattr(run_checks, "load_driver", lambda group, name: OtherClock)
+    *_, found = await run_checks._check_device("gripper", sim_config(), None)
+    assert found.status is CheckStatus.PROBLEM
+    assert "in the future; use asyncio.get_running_loop().time()" in found.observed
+
+
 async def test_an_arm_without_a_look_of_its_own_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     (found,) = await ask(sim_config(), Plain, monkeypatch)
     assert (found.status, "no checks of its own" in found.observed) == (CheckStatus.NOTE, True)

@@ -43,18 +43,19 @@ async def rates(seconds: float) -> dict[str, object]:
     sensor = DigitSensor(DigitSensor.Settings(serial=SERIAL), DriverContext("left"), lambda serial, name: found)
     await sensor.open()
     loop = asyncio.get_running_loop()
-    ages = []
+    ages, captured_s, sequences = [], [], []
     cpu_s, begin_s = time.process_time(), loop.time()
     while loop.time() < begin_s + seconds:
         frame = await sensor.next_frame()
         ages.append(loop.time() - frame.captured_at_s)
+        captured_s.append(frame.captured_at_s)
+        sequences.append(frame.sequence)
     share = (time.process_time() - cpu_s) / (loop.time() - begin_s)
-    watch, remarks, mode = sensor.rate, sensor.remarks, sensor.mode
+    remarks, mode = sensor.remarks, sensor.mode
     await sensor.close()
     return {
-        "taken": watch.received,
-        "lost": watch.lost,
-        "fps": watch.fps,
+        "lost": sequences[-1] - sequences[0] + 1 - len(sequences),
+        "fps": (len(captured_s) - 1) / (captured_s[-1] - captured_s[0]),
         "handed_out": len(ages),
         "age_ms": 1000 * sorted(ages)[len(ages) // 2],
         "cpu_share": share,
