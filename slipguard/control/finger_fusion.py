@@ -56,6 +56,7 @@ class FusedEstimate:
         conflict: the fingers' rotations contradict each other, so only the larger one is used. shift_conflict: so do
             their shifts.
         note: what is worth reporting although there is an estimate.
+        contact_radius_mm: mean radius of the contacts seen, each as the disk of its area; None if none is seen.
         declined: why there is none.
     """
 
@@ -76,6 +77,7 @@ class FusedEstimate:
     sideways_mm: float | None = None
     shift_fingers: tuple[str, ...] = ()
     shift_conflict: str | None = None
+    contact_radius_mm: float | None = None
 
     @property
     def both_touch(self) -> bool:
@@ -131,6 +133,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         shift_fingers=tuple(shifts),
         shift_conflict=opposed,
         slides=not shifts and any(estimate.slides for estimate in given),
+        contact_radius_mm=_contact_radius_mm(given),
     )
     if not rotations:
         return replace(base, declined="; ".join(notes))
@@ -149,6 +152,13 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         conflict=conflict,
         note="; ".join(notes) or None,
     )
+
+
+def _contact_radius_mm(given: list[Estimate]) -> float | None:
+    """Return the mean radius: both fingers press with the same force, so their torques add up as the radii do."""
+    radii = [one.contact_radius_mm for one in given if one.contact_radius_mm is not None]
+    radii = [radius_mm for radius_mm in radii if 0.0 < radius_mm <= LARGEST]
+    return sum(radii) / len(radii) if radii else None
 
 
 def _shifts(left: Estimate | None, right: Estimate | None) -> dict[str, tuple[float, float]]:

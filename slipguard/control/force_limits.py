@@ -54,4 +54,4 @@ def force_range(force_max_n: float, gripper_limits_n: tuple[float, float]) -> Fo
 
 def first_n(params: GuardParams) -> float:
     """Return the first grip where the request names none: gentle, but no weaker than friction and mass require."""
-    return max(params.first_force_n, params.modelled_n or 0.0)
+    return max(params.first_force_n, params.modelled_n() or 0.0)

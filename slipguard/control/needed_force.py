@@ -26,16 +26,26 @@ Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
 
 The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: friction and patch cancel. `margin` is
 added where r was measured. With `friction` and `mass_kg` given, the force of the limit surface counts, too.
+
+Its a(N) is that of the contact that the cameras show. Of all patches of one area a disk holds the least torque, for
+the mean distance from its middle is the least (Hardy, Littlewood and Polya 1934, rearrangement). So a contact counts
+as the disk of its area, and as no more than what the image shows of it. The slopes around it show as well: of 117
+rendered presses (39 objects, three depths), nine in ten hold the torque of a disk of at least SEEN_SHARE times the
+radius seen. Before it is seen, the contact counts as a large one, for a grip can be made firmer, but not looser; it is
+made firmer before the lift. Elastic motion does not depend on the contact seen: k6 is learned for the patch of `PAD`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, Pad, torque_limit_n_m
 
 PAD = Pad()
+SEEN_SHARE = 0.75
+UNSEEN_MM = 2.5
+"""Radius of a contact that no camera shows: of the smallest that is measured well."""
 RATIO_MAX = 2.5
 LEVER_MM = 60.0
 """Where no lever is given."""
@@ -130,9 +140,15 @@ def friction_of(given: float | None) -> LogNormal:
     return FRICTION_PRIOR if given is None else LogNormal(given, FRICTION_GIVEN_SPREAD)
 
 
-def torque_n_m(force_n: float, friction: float) -> float:
+def seen_pad(radius_mm: float | None, force_n: float) -> Pad:
+    """Return the pad whose patch the cameras show at this force. radius_mm: None if they show none."""
+    radius_m = 1e-3 * (UNSEEN_MM if radius_mm is None else SEEN_SHARE * radius_mm)
+    return replace(PAD, radius_m=radius_m / max(force_n, 1.0) ** PAD.gamma)
+
+
+def torque_n_m(force_n: float, friction: float, pad: Pad = PAD) -> float:
     """Return the torque that both fingers hold."""
-    return FINGER_COUNT * torque_limit_n_m(force_n, friction, PAD)
+    return FINGER_COUNT * torque_limit_n_m(force_n, friction, pad)
 
 
 def onset(force_n: float, friction: float, stiffness_n_m_rad: float) -> ElasticMotion:
@@ -197,7 +213,13 @@ def load_ratio(
 
 
 def needed_force(
-    present_n: float, ratio: float, *, slides: bool, friction: LogNormal, modelled_n: float | None
+    present_n: float,
+    ratio: float,
+    *,
+    slides: bool,
+    friction: LogNormal,
+    modelled_n: float | None,
+    pad: Pad = PAD,
 ) -> NeededForce:
     """Return the force for `ratio` times the load at which this grip slips.
 
@@ -205,9 +227,10 @@ def needed_force(
         present_n: per finger, above 0.
         ratio: margin included. slides: without rotation.
         modelled_n: what given friction, mass and lever require; None if they are not given.
+        pad: as seen.
     """
-    holds = FINGER_COUNT * friction.median * present_n if slides else torque_n_m(present_n, friction.median)
-    force_n = present_n * ratio ** (1.0 if slides else 1.0 / (1.0 + PAD.gamma))
+    holds = FINGER_COUNT * friction.median * present_n if slides else torque_n_m(present_n, friction.median, pad)
+    force_n = present_n * ratio ** (1.0 if slides else 1.0 / (1.0 + pad.gamma))
     return NeededForce(holds * ratio, friction, max(force_n, modelled_n or 0.0), slides)
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from slipguard.config_errors import error_at_key
+from slipguard.control.needed_force import PAD
 from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2, Pad, force_needed_n
 
 Force = Annotated[float, Field(ge=1.0, le=235.0)]
@@ -121,7 +122,7 @@ class GuardParams(_Table):
     """Without a rotation estimate: grip with that force, or "refuse" if the lift must not happen unguarded."""
 
     friction: Annotated[float, Field(ge=0.05, le=2.0)] | None = None
-    """Between object and gel; give it with `mass_kg` if both are known: the first grip then suits the load."""
+    """Between object and gel; give it with `mass_kg` if both are known: the grip suits the load before the lift."""
     mass_kg: Annotated[float, Field(gt=0.0, le=20.0)] | None = None
     """Of the object; give it together with `friction`."""
     lever_mm: Annotated[float, Field(ge=0.0, le=500.0)] = 0.0
@@ -148,20 +149,22 @@ class GuardParams(_Table):
         forces = ("first_force_n", "force_max_n", "no_estimate_force_n")
         return self.model_copy(update={name: min(getattr(self, name), force_limit_n) for name in forces})
 
-    @property
-    def modelled_n(self) -> float | None:
-        """The force per finger that friction, mass and lever require, with a reserve; None if they are not given."""
+    def modelled_n(self, pad: Pad = PAD) -> float | None:
+        """Return the force per finger that friction, mass and lever require, with a reserve; None if not given.
+
+        pad: with the contact as seen; the default needs the least.
+        """
         if self.friction is None or self.mass_kg is None:
             return None
         load_n = self.mass_kg * GRAVITY_M_S2 / FINGER_COUNT
-        return MODEL_RESERVE * force_needed_n(load_n, 1e-3 * self.lever_mm, self.friction, Pad())
+        return MODEL_RESERVE * force_needed_n(load_n, 1e-3 * self.lever_mm, self.friction, pad)
 
     @model_validator(mode="after")
     def _model_complete(self) -> GuardParams:
         if (self.friction is None) is not (self.mass_kg is None):
             missing, given = ("friction", "mass_kg") if self.friction is None else ("mass_kg", "friction")
             raise error_at_key(missing, None, f"missing; it and {given} go together: give both, or neither")
-        needed_n = self.modelled_n
+        needed_n = self.modelled_n()
         if needed_n is not None and needed_n > self.force_max_n:
             raise error_at_key(
                 "force_max_n",

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from slipguard.control import arm_motion, force_limits
+from slipguard.control import arm_motion, force_limits, needed_force
 from slipguard.control.arm_motion import REACHED_MM, Result
 from slipguard.control.messages import HoldForce, Observation, StepOutput, StopArm
 from slipguard.control.params import GuardParams
 from slipguard.control.release import continue_release
 from slipguard.control.reports import Fault, FaultCode, Message, Text
 from slipguard.control.slip_response import SlipResponse, respond_to_slip
-from slipguard.control.state import Adoption, GraspState, Phase, force_text
+from slipguard.control.state import Adoption, GraspState, Phase, force_text, gripper_at_rest
 from slipguard.devices import GripperState
 
 NOTHING_S = 0.1
 """A gripper that reports this long that it has closed on nothing has; one report may be out of date."""
+AGAIN_TIMES = 1.05
+"""Of the grip: a contact that is seen again differs by less."""
 
 
 def act(state: GraspState, observation: Observation, params: GuardParams) -> Result:
@@ -99,18 +102,25 @@ def _follow_nothing(state: GraspState, gripper: GripperState) -> GraspState:
 
 
 def _reference(state: GraspState, observation: Observation, params: GuardParams) -> Result:
-    """Wait until both fingers have their reference; after the timeout one is enough, or none with a firmer grip."""
+    """Wait until both fingers have their reference; after the timeout one is enough, or none with a firmer grip.
+
+    A grip that is too weak for the contact that they show is made firmer first, and then they take another reference.
+    """
     fused, now_s, present_n = observation.fused, observation.now_s, state.grip.target_n
     waited = now_s - state.since_s > params.tuning.reference_timeout_s
     estimated = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
     force = force_text(observation.gripper, present_n)
-    if fused is not None and estimated and (waited or len(fused.fingers) == 2):
+    ready = fused is not None and estimated and len(fused.fingers) == 2
+    if not (ready or waited):
+        return state, StepOutput()
+    state, firmer = _grip_for_contact(state, observation, params)
+    if firmer is not None:
+        return state, firmer
+    if fused is not None and estimated:
         state = _holding_since(state, now_s, None)
         if len(fused.fingers) == 1:
             return state, _saying(Text.HOLDING_BY_ONE_FINGER.message(force=force, note=fused.note))
         return state, _saying(Text.HOLDING.message(force=force))
-    if not waited:
-        return state, StepOutput()
     why = (fused.declined if fused is not None else None) or "no frames from either finger"
     state = _holding_since(state, now_s, why)
     if params.on_no_estimate == "refuse" or not state.guarding:
@@ -121,6 +131,32 @@ def _reference(state: GraspState, observation: Observation, params: GuardParams)
     if target_n <= present_n or state.person.now:
         return state, output
     return state.with_target(target_n, now_s), replace(output, gripper=HoldForce(target_n))
+
+
+def _grip_for_contact(
+    state: GraspState, observation: Observation, params: GuardParams
+) -> tuple[GraspState, StepOutput | None]:
+    """Return the state with the contact seen, and a firmer grip if the given object needs it for that contact.
+
+    A grip that was taken over, or requested to be weaker than the object needs, is left as it is.
+    """
+    fused, gripper, present_n = observation.fused, observation.gripper, state.grip.target_n
+    radius_mm = fused.contact_radius_mm if fused is not None else None
+    pad = needed_force.seen_pad(radius_mm, present_n)
+    state = replace(state, held=replace(state.held, pad=pad))
+    needed_n = params.modelled_n(pad)
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    if needed_n is None or force_range is None or needed_n <= AGAIN_TIMES * present_n:
+        return state, None
+    own = state.grip.commanded_s > -math.inf and present_n >= force_limits.first_n(params)
+    target_n = force_range.allowed(needed_n, present_n)
+    firm = gripper is not None and gripper_at_rest(state, gripper)
+    if not (own and firm) or target_n <= present_n or state.person.forbids_force:
+        return state, None
+    radius_mm = needed_force.UNSEEN_MM if radius_mm is None else radius_mm
+    message = Text.GRIPPING_FOR_CONTACT.message(radius_mm=radius_mm, needed_n=needed_n, force_n=target_n)
+    state = state.entered(Phase.REFERENCE, observation.now_s).with_target(target_n, observation.now_s)
+    return state, StepOutput(HoldForce(target_n), new_reference=True, messages=(message,))
 
 
 def _holding_since(state: GraspState, now_s: float, no_estimate: str | None) -> GraspState:

@@ -26,6 +26,9 @@ class Text(Enum):
     GRIPPED = "gripped"
     HOLDING = "holding with {force}, rotation estimated"
     HOLDING_BY_ONE_FINGER = "holding with {force}, rotation estimated by one finger only ({note})"
+    GRIPPING_FOR_CONTACT = (
+        "a contact of {radius_mm:.1f} mm radius needs {needed_n:.0f} N: gripping with {force_n:.0f} N"
+    )
     NO_ESTIMATE = "no rotation estimate ({why})"
     NO_ESTIMATE_GRIP = "no rotation estimate ({why}): gripping with {force_n:.0f} N"
     GUARDING_FOUND = "an object is held with {force}: guarding"

@@ -214,7 +214,8 @@ def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams) 
         ratio,
         slides=seen.translates and not seen.rotates,
         friction=_friction(state, params),
-        modelled_n=params.modelled_n,
+        modelled_n=params.modelled_n(state.held.pad),
+        pad=state.held.pad,
     )
 
 

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
+from slipguard.control.needed_force import PAD, STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.slip_memory import SlipMemory
 from slipguard.devices import GripperState
+from slipguard.limit_surface import Pad
 
 
 class Phase(StrEnum):
@@ -121,6 +122,7 @@ class HeldObject:
         at_limit_deg: rotation when the gripper first held with the force limit; None: it does not.
         first_n: force at its first slip; None: not yet. friction: estimated then.
         gel_learned: this grasp has shown the gel's stiffness.
+        pad: with the contact that was seen when it was gripped.
     """
 
     referenced: bool = False
@@ -132,6 +134,7 @@ class HeldObject:
     first_n: float | None = None
     friction: LogNormal | None = None
     gel_learned: bool = False
+    pad: Pad = PAD
 
 
 @dataclass(frozen=True, slots=True)

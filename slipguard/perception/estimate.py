@@ -50,6 +50,7 @@ class Estimate:
     shift_declined: None, or why the shift is unknown.
     slides: the object slides by an unknown distance: its periodic texture moves.
     contact_area_px: in frame pixels (240 x 320).
+    contact_radius_mm: of a disk with this area; None without contact.
     measured_at_s: capture time of the measured frame; older than `captured_at_s` after a skip.
     skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
     declined: None, or why there is no angle, a `DeclineReason` with details after a colon.
@@ -75,6 +76,7 @@ class Estimate:
     unconfirmed: UnconfirmedRotation | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     segmented: SkipJsonSchema[bool] = True
+    contact_radius_mm: float | None = None
 
     @property
     def has_reference(self) -> bool:

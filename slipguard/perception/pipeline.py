@@ -271,6 +271,7 @@ class Pipeline:
             measured_at_s=now_s,
             contact=True,
             contact_area_px=patch.area_px,
+            contact_radius_mm=self._radius_mm(patch),
             method=self._settings.estimator,
             rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
@@ -355,6 +356,7 @@ class Pipeline:
             measured_at_s=frame.captured_at_s,
             contact=self._patch is not None,
             contact_area_px=0 if self._patch is None else self._patch.area_px,
+            contact_radius_mm=None if self._patch is None else self._radius_mm(self._patch),
             method=self._settings.estimator,
             skipped=skipped,
             declined=str(declined),
@@ -377,6 +379,9 @@ class Pipeline:
         if shift.period_px is None:
             return None
         return explain(DeclineReason.SHIFT_AMBIGUOUS, f"by {shift.period_px / self._px_per_mm:.2f} mm")
+
+    def _radius_mm(self, patch: Patch) -> float:
+        return math.sqrt(patch.area_px / math.pi) / self._px_per_mm
 
     def _shift_mm(self, shift_px: tuple[float, float]) -> tuple[float, float]:
         """Convert frame pixels right and down to millimeters right and up, corrected for the mounting."""

@@ -30,11 +30,12 @@ def fused(
     shift_mm: float | None = 0.0,
     contact: bool = True, sigma_deg: float = 0.5, fingers: tuple[str, ...] = ("left", "right"),
     conflict: str | None = None, note: str | None = None, declined: str | None = None,
+    contact_radius_mm: float | None = None,
 ) -> FusedEstimate:  # fmt: skip
     declines = rotation_deg is None
     return FusedEstimate(
         contact, contact, at_s, at_s, () if declines else fingers, rotation_deg, None if declines else sigma_deg,
-        None if declines else rate_deg_s, shift_mm, conflict, note, declined,
+        None if declines else rate_deg_s, shift_mm, conflict, note, declined, contact_radius_mm=contact_radius_mm,
     )  # fmt: skip
 
 

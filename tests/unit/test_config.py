@@ -168,7 +168,7 @@ def test_a_timeout_shorter_than_the_period_it_watches_is_refused(raw: dict[str, 
 @pytest.mark.parametrize("lever_mm", [0.0, 500.0])
 def test_a_mass_of_almost_nothing_needs_almost_no_force(mass_kg: float, lever_mm: float) -> None:
     guard = {"friction": 0.5, "mass_kg": mass_kg, "lever_mm": lever_mm}
-    modelled_n = parse_config({"guard": guard}, where="test", sim=True).guard.modelled_n
+    modelled_n = parse_config({"guard": guard}, where="test", sim=True).guard.modelled_n()
     assert modelled_n is not None
     assert 0.0 < modelled_n < 0.1
 

@@ -26,6 +26,7 @@ PARAMS = {
     "lift": guard_params(lift_height_mm=80.0),
     "lower": guard_params(on_force_limit="lower", on_no_estimate="refuse", stop_on_slip=False),
     "guard": guard_params(mode="guard"),
+    "known object": guard_params(friction=0.6, mass_kg=0.4, lever_mm=60.0),
 }
 GONE = FingerHealth(Condition.LOST, 2.0, "unplugged")
 OLD = FingerHealth(Condition.STALE, 0.31, "its frames are old")
@@ -81,6 +82,12 @@ EVENTS: dict[str, View] = {
     ),
     "rotated far": sight(rotation_deg=60.0),
     "estimated": sight(),
+}
+CONTACTS: dict[str, View] = {
+    "a small contact": sight(contact_radius_mm=5.0),
+    "a large contact": sight(contact_radius_mm=16.0),
+    "a small round contact": sight(contact_radius_mm=5.0, rotation_deg=None, declined="round contact"),
+    "no radius": sight(),
 }
 REQUESTS: dict[str, ControlRequest] = {
     "grasp": ask(RequestKind.GRASP),
@@ -139,6 +146,11 @@ def stories() -> Iterator[Story]:
     for start, changes in STARTS.items():
         for event, view in EVENTS.items():
             yield f"{event}, {start}", PARAMS["lower"], changes, view, ControlRequest(), 0.3
+    for event, view in CONTACTS.items():
+        for start, changes in (
+            {"known object": {}} | {one: STARTS[one] for one in ("not commanded", "person")}
+        ).items():
+            yield f"{event}, {start}", PARAMS["known object"], changes, view, ControlRequest(), 0.3
 
 
 def moment(phase: Phase, now_s: float) -> Observation:

@@ -217,3 +217,16 @@ def test_a_slide_counts_only_while_no_finger_knows_the_shift() -> None:
         both = fuse(left, right)
         assert both is not None
         assert both.slides is expected
+
+
+@pytest.mark.parametrize(
+    ("left_mm", "right_mm", "fused_mm"),
+    [(4.0, 6.0, 5.0), (None, 6.0, 6.0), (None, None, None), (math.nan, 6.0, 6.0), (0.0, math.inf, None)],
+)
+def test_the_contact_is_the_mean_of_those_seen(
+    left_mm: float | None, right_mm: float | None, fused_mm: float | None
+) -> None:
+    left, right = (replace(estimate(), contact_radius_mm=radius_mm) for radius_mm in (left_mm, right_mm))
+    together = fuse(left, right)
+    assert together is not None
+    assert together.contact_radius_mm == fused_mm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from typing import cast
 
 import cv2
@@ -76,6 +77,7 @@ def test_the_reference_is_the_first_stable_contact() -> None:
     assert still[-1].rotation_deg == pytest.approx(0.0, abs=0.3)
     assert pipe._meter.reference is not None
     assert pipe._meter.reference.patch.area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
+    assert math.pi * (18.5 * still[-1].contact_radius_mm) ** 2 == pytest.approx(still[-1].contact_area_px)
 
 
 def test_rotations_while_the_force_grows_count_from_the_first_tenth_of_a_second() -> None:
