@@ -203,6 +203,14 @@ class Config(Section):
             ("guard.tuning.gripper_timeout_s", tuning.gripper_timeout_s, "loop.poll_ms", loop.poll_ms),
             ("guard.tuning.arm_timeout_s", tuning.arm_timeout_s, "loop.poll_ms", loop.poll_ms),
         ]
+        for device, key, limit_s in (
+            (self.gripper, "gripper", tuning.gripper_timeout_s),
+            (self.arm, "arm", tuning.arm_timeout_s),
+        ):
+            response_ms = getattr(device.settings, "timeout_ms", None)
+            if response_ms is not None:  # one lost response is no fault
+                response = f"{key}.{device.driver}.timeout_ms", response_ms
+                watched.append((f"guard.tuning.{key}_timeout_s", limit_s, *response))
         for name in FINGERS:
             section: FingerSection = getattr(self, name)
             fps, stall_ms = getattr(section.settings, "fps", None), getattr(section.settings, "stall_ms", None)
@@ -214,7 +222,7 @@ class Config(Section):
         for key, timeout, period_name, period_ms in watched:
             least = PERIODS_PER_TIMEOUT * period_ms / (1.0 if key.endswith("_ms") else 1e3)
             if timeout < least:
-                allowed = f"at least {least:.3g}: {PERIODS_PER_TIMEOUT} times {period_name} ({period_ms:.3g} ms)"
+                allowed = f"at least {least:.3g}: {PERIODS_PER_TIMEOUT} times {period_name} ({period_ms:.4g} ms)"
                 raise error_at_key(key, timeout, f"{allowed}; a shorter timeout reports a fault at once")
         if tuning.tighten_effect_timeout_s <= tuning.tighten_delay_s:
             longer = f"must be longer than guard.tuning.tighten_delay_s ({tuning.tighten_delay_s:g})"

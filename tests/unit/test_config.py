@@ -155,6 +155,10 @@ FAKES = {name: {"driver": "fake"} for name in ("left", "right", "gripper", "arm"
             "right.digit.stall_ms = 50: at least 66.7",
         ),
         (
+            {"gripper": {"robotiq": {"port": "/dev/ttyUSB0", "timeout_ms": 1000}}},
+            TUNING + "gripper_timeout_s = 0.4: at least 2: 2 times gripper.robotiq.timeout_ms (1000 ms)",
+        ),
+        (
             {"guard": {"tuning": {"tighten_effect_timeout_s": 0.2, "tighten_delay_s": 0.5}}},
             TUNING + "tighten_effect_timeout_s = 0.2: must be longer than guard.tuning.tighten_delay_s (0.5)",
         ),
