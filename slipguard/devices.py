@@ -93,6 +93,9 @@ class ArmState:
     """Whether the arm reports its motion. If not, every rotation is judged as in motion."""
     position_mm: tuple[float, float, float] | None = None
     """Tool position x, y, z in a frame that outlasts the connection, z up; None if the arm does not report one."""
+    orientation_rad: tuple[float, float, float] | None = None
+    """Tool orientation in that frame as a rotation vector (axis times angle); the tool's z axis points away from the
+    flange, along the fingers. None if the arm does not report one."""
 
 
 class TactileSensor(Protocol):

@@ -3,7 +3,7 @@
 The fingers face each other, so a rotation of the object has opposite signs in their images. Rotations are positive
 counter-clockwise in the LEFT finger's image; the sign of the right one is flipped here and nowhere else.
 Shifts are the contact's motion since the reference in the left finger's image: down and to the right are positive. How
-the image is oriented to gravity is not known, so every direction counts.
+the image is oriented to gravity depends on the arm's pose (slide_direction.py), and every direction counts.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.needed_force import ElasticMotion
 from slipguard.control.params import GuardParams
+from slipguard.control.slide_direction import slide_direction
 from slipguard.control.slip_baselines import SETTLED_SHIFT_MM
 from slipguard.control.slip_memory import ArmCase, SlipMemory
 from slipguard.devices import ArmState
@@ -59,8 +60,8 @@ class SlipAssessment:
     Args:
         memory: the memory after it.
         rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
-        slip_mm, slip_rate_mm_s: distance from that baseline, in any direction, and the rate away from it. slides: by an
-            unknown distance.
+        slip_mm, slip_rate_mm_s: distance from that baseline, in any direction, and the rate away from it. direction: in
+            words, empty if unknown. slides: by an unknown distance.
         moving: one of the rates is that of slip. elastic: the gel bears all of the motion without slip.
         rotates, translates: this frame shows rotational or translational slip.
         slipping: slip is confirmed by enough frames.
@@ -72,6 +73,7 @@ class SlipAssessment:
     rate_deg_s: float = 0.0
     slip_mm: float = 0.0
     slip_rate_mm_s: float = 0.0
+    direction: str = ""
     slides: bool = False
     moving: bool = False
     elastic: bool = False
@@ -86,7 +88,9 @@ class SlipAssessment:
         rotation = f"rotated {self.rotation_deg:.1f}° at {self.rate_deg_s:.0f}°/s"
         if self.slides:
             return f"{rotation}, slides by an unknown distance"
-        return f"{rotation}, moved {self.slip_mm:.1f} mm" if self.slip_mm > SETTLED_SHIFT_MM else rotation
+        if self.slip_mm <= SETTLED_SHIFT_MM:
+            return rotation
+        return f"{rotation}, moved {self.slip_mm:.1f} mm {self.direction}".rstrip()
 
 
 def assess_slip(
@@ -121,7 +125,7 @@ def assess_slip(
     if elastic:
         rotates, rests_further_out, quick_frames = False, False, 0
     turns = quick_frames > 0
-    slip_mm, rate_mm_s = _slide(memory, fused, only_outward)
+    slip_mm, rate_mm_s, direction = _slide(memory, fused, arm, only_outward)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
     least_mm = min(max(STIFF_SHARE * tuning.slip_mm, borne.mm), tuning.slip_mm)
@@ -141,6 +145,7 @@ def assess_slip(
         rate_deg_s=rate_deg_s,
         slip_mm=slip_mm,
         slip_rate_mm_s=rate_mm_s,
+        direction=direction,
         slides=slides,
         moving=rate_deg_s >= tuning.slip_rate_deg_s or fast or slides,
         elastic=elastic,
@@ -303,8 +308,10 @@ def _is_elastic(memory: SlipMemory, fused: FusedEstimate, borne: ElasticMotion) 
     return abs(share) <= (AGAIN_SHARE if arrives else 1.0)
 
 
-def _slide(memory: SlipMemory, fused: FusedEstimate, only_outward: bool) -> tuple[float, float]:
-    """Return the distance that the contact has moved from the episode's baseline, and its rate away from there."""
+def _slide(
+    memory: SlipMemory, fused: FusedEstimate, arm: ArmState | None, only_outward: bool
+) -> tuple[float, float, str]:
+    """Return how far the contact has moved from the episode's baseline, its rate away from there, and the direction."""
     baselines = memory.baselines
     down_mm = (fused.shift_mm or 0.0) - (baselines.episode_mm or 0.0) if fused.shift_mm is not None else 0.0
     side_mm = (fused.sideways_mm or 0.0) - (baselines.sideways_mm or 0.0) if fused.sideways_mm is not None else 0.0
@@ -312,8 +319,9 @@ def _slide(memory: SlipMemory, fused: FusedEstimate, only_outward: bool) -> tupl
     from_start_mm = math.hypot(fused.shift_mm or 0.0, fused.sideways_mm or 0.0)
     back = from_start_mm <= math.hypot(baselines.episode_mm or 0.0, baselines.sideways_mm or 0.0)
     if slip_mm == 0.0 or (only_outward and back):
-        return 0.0, 0.0
-    return slip_mm, (down_mm * memory.shift.rate_mm_s + side_mm * memory.sideways.rate_mm_s) / slip_mm
+        return 0.0, 0.0, ""
+    direction = slide_direction(down_mm, side_mm, arm.orientation_rad if arm is not None else None)
+    return slip_mm, (down_mm * memory.shift.rate_mm_s + side_mm * memory.sideways.rate_mm_s) / slip_mm, direction
 
 
 def _quick_frames(

@@ -132,4 +132,5 @@ def report(plant: ArmPlant, now_s: float, protective_stop: bool = False, emergen
         emergency_stop=emergency_stop,
         measured_at_s=now_s,
         position_mm=(0.0, 0.0, here.height_mm),
+        orientation_rad=(0.0, math.pi, 0.0),  # the fingers point down
     )

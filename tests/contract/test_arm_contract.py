@@ -65,6 +65,15 @@ async def test_heights_are_relative_to_where_the_arm_was_opened(rig: ArmRig, arm
     assert (await first_value(arm.state)).height_mm == pytest.approx(0.0, abs=0.1)
 
 
+async def test_a_reported_orientation_is_a_rotation_vector_and_stays_during_a_lift(arm: Arm) -> None:
+    before = (await first_value(arm.state)).orientation_rad
+    await arm.lift(10.0, 200.0)
+    after = (await eventually(arm.state, lambda state: state.height_mm > 9.9 and at_rest(state))).orientation_rad
+    assert (before is None) is (after is None)
+    if before is not None and after is not None:  # by half a turn, both directions of the axis are the same
+        assert math.hypot(*after) == pytest.approx(math.hypot(*before), abs=0.01)
+
+
 @pytest.mark.realtime
 async def test_a_lift_starts_and_does_not_wait(arm: Arm) -> None:
     before_s = asyncio.get_running_loop().time()

@@ -194,6 +194,7 @@ class StateMonitor:
             emergency_stop=state.emergency,
             measured_at_s=state.received_at_s,
             position_mm=(state.pose[0] * 1000.0, state.pose[1] * 1000.0, state.pose[2] * 1000.0),
+            orientation_rad=(state.pose[3], state.pose[4], state.pose[5]),
         )
 
     async def close(self) -> None:

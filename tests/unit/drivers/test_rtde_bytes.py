@@ -102,6 +102,7 @@ async def test_the_driver_asks_as_the_protocol_says(served: tuple[list[bytes], d
     assert monitor.version == (5, 17, 3, 0)
     state = monitor.newest
     assert (state.timestamp_s, state.pose, state.velocity) == (12.5, POSE, SPEED)
+    assert monitor.arm_state().orientation_rad == POSE[3:]
     assert (state.runtime, state.safety_bits, state.mode) == (2, 1, 7)
     assert state.moving
     await monitor.close()
