@@ -98,13 +98,6 @@ class V4l2Capture:
         fcntl.ioctl(self._fd, v4l2.G_CTRL, raw)
         return int(v4l2.CONTROL.unpack(raw)[1])
 
-    def control_range(self, control: int) -> tuple[int, int]:
-        """Return the lowest and highest value of a control."""
-        raw = bytearray(v4l2.CONTROL_QUERY.pack(control, 0, b"", 0, 0, 0, 0, 0))
-        fcntl.ioctl(self._fd, v4l2.QUERYCTRL, raw)
-        _, _, _, lowest, highest, *_ = v4l2.CONTROL_QUERY.unpack(raw)
-        return lowest, highest
-
     def start(self) -> None:
         """Queue every buffer and start the stream. Raises OSError ENOSPC if the bus has not enough bandwidth."""
         for index in range(len(self._maps)):

@@ -12,7 +12,6 @@ STREAM_PARAMETERS = struct.Struct("=I4I184x")
 BUFFER_REQUEST = struct.Struct("=IIII4x")
 BUFFER = struct.Struct("=5I4xqq16sIIQII8x")
 CONTROL = struct.Struct("=Ii")
-CONTROL_QUERY = struct.Struct("=II32siiiiI8x")
 
 CAPTURE = 1
 MEMORY_MMAP = 1
@@ -40,7 +39,6 @@ STREAMOFF = request_code(_WRITE, 19, 4)
 S_PARM = request_code(_READ | _WRITE, 22, STREAM_PARAMETERS.size)
 G_CTRL = request_code(_READ | _WRITE, 27, CONTROL.size)
 S_CTRL = request_code(_READ | _WRITE, 28, CONTROL.size)
-QUERYCTRL = request_code(_READ | _WRITE, 36, CONTROL_QUERY.size)
 ENUM_FRAMESIZES = request_code(_READ | _WRITE, 74, FRAME_SIZE.size)
 ENUM_FRAMEINTERVALS = request_code(_READ | _WRITE, 75, FRAME_INTERVAL.size)
 

@@ -21,7 +21,6 @@ REGISTERS = 3
 
 CLOSED_COUNT = 255
 FULL_SPEED = 255
-CURRENT_A_PER_COUNT = 0.010
 CLOSED_WITHIN_MM = 2.0
 """Fingers that are this close together have closed on nothing, if gOBJ reports no object."""
 GEL_GAP_MM = 1.0
@@ -106,7 +105,6 @@ class RobotiqStatus:
     fault_code: int
     position_echo: int
     position: int
-    current_a: float
 
     @property
     def stopped_on_object(self) -> bool:
@@ -146,7 +144,6 @@ def decode(registers: Sequence[int]) -> RobotiqStatus:
         fault_code=echo_word >> 8 & 0x0F,
         position_echo=echo_word & 0xFF,
         position=position_word >> 8,
-        current_a=(position_word & 0xFF) * CURRENT_A_PER_COUNT,
     )
 
 

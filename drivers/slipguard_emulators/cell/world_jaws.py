@@ -16,7 +16,7 @@ class WorldJaws(JawsPlant):
         self._world = world
 
     def drive(self, now_s: float, width_mm: float, speed_mm_s: float, force_n: float) -> None:
-        """See `Jaws`."""
+        """See `JawsPlant`."""
         if width_mm > self._world.gripper_state(now_s).width_mm:
             self._world.command_release(now_s, width_mm)
         elif width_mm < CLOSED_MM:
@@ -25,11 +25,11 @@ class WorldJaws(JawsPlant):
             self._world.command_move(now_s, width_mm, force_n)
 
     def halt(self, now_s: float) -> None:
-        """See `Jaws`."""
+        """See `JawsPlant`."""
         self._world.command_halt(now_s)
 
     def state_at(self, now_s: float) -> JawsState:
-        """See `Jaws`."""
+        """See `JawsPlant`."""
         state, truth = self._world.gripper_state(now_s), self._world.truth(now_s)
         return JawsState(
             width_mm=state.width_mm,

@@ -1,7 +1,7 @@
 """The mechanics behind the emulated registers: the motor and the object between the jaws.
 
-`Jaws` is the interface between the emulated gripper and its mechanics, so that an emulated cell can use its own world.
-Widths are mm between the fingers, forces newtons per finger; the caller's times never decrease.
+`JawsPlant` is the interface between the emulated gripper and its mechanics, so that an emulated cell can use its own
+world. Widths are mm between the fingers, forces newtons per finger; the caller's times never decrease.
 """
 
 from __future__ import annotations
@@ -20,14 +20,13 @@ DEAD_TIME_S = 0.02
 class JawsState:
     """The jaws at one time. force_n: on each side of the object; 0 without an object.
 
-    met_closing, met_opening: an object stopped the motor while closing, or opening.
+    met_closing: an object stopped the motor while closing. Nothing stops it while opening.
     """
 
     width_mm: float
     force_n: float = 0.0
     moving: bool = False
     met_closing: bool = False
-    met_opening: bool = False
 
     @property
     def holds(self) -> bool:
@@ -75,19 +74,19 @@ class SimpleJaws(JawsPlant):
         self._met_closing = False
 
     def drive(self, now_s: float, width_mm: float, speed_mm_s: float, force_n: float) -> None:
-        """See `Jaws`."""
+        """See `JawsPlant`."""
         self._advance(now_s)
         going_on = self._goal_mm is not None and (self._goal_mm < self._width_mm) == (width_mm < self._width_mm)
         self._goal_mm, self._speed_mm_s, self._limit_n = width_mm, speed_mm_s, force_n
         self._at_s = self._at_s if going_on else now_s + DEAD_TIME_S
 
     def halt(self, now_s: float) -> None:
-        """See `Jaws`."""
+        """See `JawsPlant`."""
         self._advance(now_s)
         self._goal_mm = None
 
     def state_at(self, now_s: float) -> JawsState:
-        """See `Jaws`."""
+        """See `JawsPlant`."""
         self._advance(now_s)
         return JawsState(self._width_mm, self._force_n, self._goal_mm is not None, self._met_closing)
 

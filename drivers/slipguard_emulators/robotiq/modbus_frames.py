@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from slipguard_emulators.robotiq.registers import INPUTS, OUTPUTS
 
 READ_HOLDING, READ_INPUT, WRITE_ONE, WRITE_MANY, WRITE_AND_READ = 3, 4, 6, 16, 23
-FRAME_MAX_BYTES = 256
 
 
 @dataclass(frozen=True, slots=True)

@@ -217,8 +217,6 @@ class GripperRegisters:
             return 0
         if view.met_closing:
             return 2
-        if view.met_opening:
-            return 1
         return 3 if abs(self._count(view.width_mm) - self._reachable(self.outputs[1] & 0xFF)) <= 1 else 0
 
     def _fault_code(self, now_s: float) -> int:

@@ -70,7 +70,7 @@ class Segmenter:
     def __init__(self, path: Path | None = None) -> None:
         self.path = default_model_path() if path is None else path
         self._session = _open(self.path)
-        self._size, self._takes_background = _checked_ports(self.path, self._session)
+        self._size, self._needs_background = _checked_ports(self.path, self._session)
         self.metadata: dict[str, str] = _checked_metadata(self.path, self._session)
         self.threshold = _checked_threshold(self.path, self.metadata["threshold"])
         middle = np.full((self._size[1], self._size[0], 3), 96, np.uint8)
@@ -82,11 +82,6 @@ class Segmenter:
     def input_size(self) -> tuple[int, int]:
         """(width, height) in pixels of the network's input and output."""
         return self._size
-
-    @property
-    def needs_background(self) -> bool:
-        """Whether the network takes the unit's background image; an estimated one lowers the accuracy."""
-        return self._takes_background
 
     def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
         """Return the probability of contact, (H, W) float32 in 0..1, at `input_size`.
@@ -101,7 +96,7 @@ class Segmenter:
             ModelError: The network fails, or its output is no probability.
         """
         small = _resized(image, self._size, "frame")
-        if not self._takes_background:
+        if not self._needs_background:
             return self._run(small, small, known=False)
         if background is None:
             probability = self._run(small, estimate_background(small), known=False)
@@ -113,7 +108,7 @@ class Segmenter:
 
     def _run(self, frame: NDArray[np.uint8], background: NDArray[np.uint8], *, known: bool) -> NDArray[np.float32]:
         feed: dict[str, NDArray[Any]] = {"frame": frame[None]}
-        if self._takes_background:
+        if self._needs_background:
             known_flag = np.array([1.0 if known else 0.0], np.float32)
             feed |= {"background": background[None], "background_known": known_flag}
         try:

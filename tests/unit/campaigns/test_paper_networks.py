@@ -61,7 +61,6 @@ def test_the_command_writes_history_and_curves(trained: Path) -> None:
 def test_the_product_runs_the_file(trained: Path) -> None:
     segmenter = Segmenter(trained / "net.onnx")
     assert segmenter.input_size == (120, 160)
-    assert not segmenter.needs_background
     assert segmenter.metadata["slipguard_contract"] == "2"
     assert segmenter.metadata["label"] == "imported"
     assert " train-paper-network pspnet --recipe short --epochs 2" in segmenter.metadata["command"]

@@ -26,7 +26,7 @@ class Jaws:
     ) -> tuple[bool, bool, bool]:  # fmt: skip
         """Whether the fingers move, hold, and have closed on nothing, after one more status."""
         self.now_s += after_s
-        self.detection.update(RobotiqStatus(True, going, ready, motion, 0, echo, position, 0.0), self.now_s)
+        self.detection.update(RobotiqStatus(True, going, ready, motion, 0, echo, position), self.now_s)
         return self.detection.moving, self.detection.holding, self.detection.closed_on_nothing
 
     def rested(self, motion: FingerMotion, echo: int, position: int) -> Jaws:

@@ -57,7 +57,7 @@ def test_the_manuals_status_of_a_grasp() -> None:
     assert status.motion is FingerMotion.STOPPED_CLOSING
     assert status.stopped_on_object
     assert status.fault is None
-    assert (status.position_echo, status.position, status.current_a) == (255, 189, 0.0)
+    assert (status.position_echo, status.position) == (255, 189)
 
 
 @pytest.mark.parametrize(

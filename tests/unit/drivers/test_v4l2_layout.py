@@ -21,7 +21,6 @@ from slipguard_drivers.digit.capture import buffer
         (v4l2.BUFFER_REQUEST, 20),
         (v4l2.BUFFER, 88),
         (v4l2.CONTROL, 8),
-        (v4l2.CONTROL_QUERY, 68),
     ],
 )
 def test_sizes(layout: struct.Struct, size: int) -> None:
@@ -42,7 +41,6 @@ def test_sizes(layout: struct.Struct, size: int) -> None:
         (v4l2.BUFFER, 8, 56),  # sequence
         (v4l2.BUFFER, 10, 64),  # m.offset
         (v4l2.BUFFER, 11, 72),  # length
-        (v4l2.CONTROL_QUERY, 4, 44),  # maximum
     ],
 )
 def test_offsets(layout: struct.Struct, field: int, offset: int) -> None:
@@ -65,7 +63,6 @@ def test_request_codes() -> None:
         "S_PARM": 0xC0CC5616,
         "G_CTRL": 0xC008561B,
         "S_CTRL": 0xC008561C,
-        "QUERYCTRL": 0xC0445624,
         "ENUM_FRAMESIZES": 0xC02C564A,
         "ENUM_FRAMEINTERVALS": 0xC034564B,
     }

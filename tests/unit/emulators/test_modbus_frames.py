@@ -78,7 +78,7 @@ def test_a_read_is_answered_as_in_the_manual(asked: str, expected: str) -> None:
 
 def test_the_manuals_responses_are_decoded() -> None:
     opening, opened, grasped = (decode(words(text)) for text in (OPENING, OPENED, GRASPED))
-    assert (opening.motion, opening.position, opening.current_a) == (FingerMotion.MOVING, 0xBB, 0.16)
+    assert (opening.motion, opening.position) == (FingerMotion.MOVING, 0xBB)
     assert (opened.motion, opened.position, opened.stopped_on_object) == (FingerMotion.AT_POSITION, 0x0D, False)
     assert (grasped.motion, grasped.position, grasped.stopped_on_object) == (FingerMotion.STOPPED_CLOSING, 0xBD, True)
     assert not decode([*words(NOT_YET_ACTIVE), 0, 0]).ready

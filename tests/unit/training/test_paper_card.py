@@ -21,7 +21,6 @@ def test_the_card_lists_the_papers_network_and_its_command() -> None:
     assert len(data) <= LARGEST_BYTES
     segmenter = Segmenter(MODELS / NAME)
     assert segmenter.metadata["command"] in card
-    assert not segmenter.needs_background
 
 
 def test_every_model_is_listed_with_its_checksum() -> None:
