@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 
 from slipguard.control import arm_motion
-from slipguard.control.arm_motion import REPEAT_S
+from slipguard.control.arm_motion import REPEAT_S, Result
 from slipguard.control.messages import Observation, ReleaseJaws, StepOutput, StopArm
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Text
@@ -17,8 +17,6 @@ from slipguard.control.state import GraspState, HandsOff, Phase, Release
 
 OPEN_ANYWAY_S = 0.5
 """The jaws open at the latest this long after the request, even if the arm does not report that it stands."""
-
-Result = tuple[GraspState, StepOutput]
 
 
 def request_release(state: GraspState, observation: Observation, params: GuardParams) -> Result:
