@@ -117,14 +117,16 @@ def assess_slip(
     is_new = fused.measured_at_s > memory.measured_s  # of both fingers: what one frame shows counts once
     memory = memory.switched(fused)
     rested_deg = memory.baselines.resting_deg  # before this frame
-    memory, new_rest = _follow(memory, fused, arm, params, putting_down=only_outward)
-    memory, rests_further_out = _count_from(memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg)
+    memory, new_rest = _update_memory(memory, fused, arm, params, putting_down=only_outward)
+    memory, rests_further_out = _update_baselines(
+        memory, fused, params, is_new=is_new, new_rest=new_rest, rested=rested_deg
+    )
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
     quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, only_outward)
     elastic = _is_elastic(memory, fused, borne)
     if elastic:
         rotates, rests_further_out, quick_frames = False, False, 0
-    turns = quick_frames > 0
+    quick_rotation = quick_frames > 0
     slip_mm, rate_mm_s, direction = _slide(memory, fused, arm, only_outward)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
@@ -149,7 +151,7 @@ def assess_slip(
         slides=slides,
         moving=rate_deg_s >= tuning.slip_rate_deg_s or fast or slides,
         elastic=elastic,
-        rotates=rotates or rests_further_out or turns,
+        rotates=rotates or rests_further_out or quick_rotation,
         translates=translates,
         slipping=memory.frames >= tuning.confirm_frames,
         settled_s=memory.captured_s - settled_since_s if settled_since_s is not None else 0.0,
@@ -171,7 +173,7 @@ def threshold_deg(sigma_deg: float, episodes: int, params: GuardParams) -> float
     return max(params.tuning.tighten_in_motion_deg, uncertainty_deg(sigma_deg, params)) * growth(episodes, params)
 
 
-def _follow(
+def _update_memory(
     memory: SlipMemory, fused: FusedEstimate, arm: ArmState | None, params: GuardParams, *, putting_down: bool
 ) -> tuple[SlipMemory, bool]:
     """Return the memory with arm, resting angle and shift followed, and whether the arm's motion has just changed.
@@ -192,7 +194,7 @@ def _follow(
     return memory.followed(fused, context.case, new_rest=new_rest, params=params), new_rest
 
 
-def _count_from(
+def _update_baselines(
     memory: SlipMemory, fused: FusedEstimate, params: GuardParams, *, is_new: bool, new_rest: bool, rested: float | None
 ) -> tuple[SlipMemory, bool]:
     """Return the memory with the baselines of this frame, and whether the object rests further out than before.

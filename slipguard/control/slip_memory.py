@@ -132,7 +132,7 @@ class SlipMemory:
     had_rotation: bool = False
     had_slip: bool = False
 
-    def counts_from_elsewhere(self, before: SlipMemory) -> bool:
+    def baseline_changed(self, before: SlipMemory) -> bool:
         """Return whether rotations count from another angle than before, or come from other fingers."""
         if before.fingers.names and self.fingers.names != before.fingers.names:
             return True

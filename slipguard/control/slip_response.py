@@ -87,7 +87,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
         only_outward=state.phase is Phase.LOWERING or state.arm.putting_down,
     )
     slip = held.slip
-    if slip is not None and seen.memory.counts_from_elsewhere(held.memory):
+    if slip is not None and seen.memory.baseline_changed(held.memory):
         slip = _progress_from(slip, seen)
     state = replace(state, held=replace(held, memory=seen.memory, slip=slip))
     state = _follow_at_limit(state, observation, at_limit=at_limit)

@@ -212,15 +212,15 @@ def test_a_baseline_of_these_fingers_is_not_moved_by_the_second_frame() -> None:
 
 
 def test_what_counts_as_another_place() -> None:
-    assert not BEFORE.counts_from_elsewhere(BEFORE)
-    assert not changed(BEFORE, episode_deg=4.3, total_deg=0.4).counts_from_elsewhere(BEFORE)  # a second look
-    assert changed(BEFORE, names=LEFT).counts_from_elsewhere(BEFORE)
-    assert not BEFORE.counts_from_elsewhere(changed(BEFORE, names=()))
-    assert changed(BEFORE, episode_deg=4.3).counts_from_elsewhere(BEFORE)
+    assert not BEFORE.baseline_changed(BEFORE)
+    assert not changed(BEFORE, episode_deg=4.3, total_deg=0.4).baseline_changed(BEFORE)  # a second look
+    assert changed(BEFORE, names=LEFT).baseline_changed(BEFORE)
+    assert not BEFORE.baseline_changed(changed(BEFORE, names=()))
+    assert changed(BEFORE, episode_deg=4.3).baseline_changed(BEFORE)
     nowhere = changed(BEFORE, episode_deg=None)
-    assert nowhere.counts_from_elsewhere(BEFORE)
-    assert BEFORE.counts_from_elsewhere(nowhere)
-    assert not nowhere.counts_from_elsewhere(nowhere)
+    assert nowhere.baseline_changed(BEFORE)
+    assert BEFORE.baseline_changed(nowhere)
+    assert not nowhere.baseline_changed(nowhere)
 
 
 def test_after_another_switch_the_offset_is_measured_again() -> None:
