@@ -1,5 +1,10 @@
 """The errors that slipguard raises: one line with what happened, the value and its limit, and what to do."""
 
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+
 
 class SlipguardError(Exception):
     """Base class; `str(error)` is one line for the user."""
@@ -43,3 +48,16 @@ class FrameFrozen(DeviceError):
 
 class CommandRefused(SlipguardError):
     """The command is not possible or not safe in the present state; the state is unchanged."""
+
+
+def describe_error(error: BaseException) -> str:
+    """Return type and text of an exception in one line."""
+    text = " ".join(str(error).split())
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+def raised_in(error: BaseException) -> tuple[Path, int] | None:
+    """Return file and line in which an exception was raised; None if it was not raised yet."""
+    for frame in traceback.extract_tb(error.__traceback__)[-1:]:
+        return Path(frame.filename), frame.lineno or 0
+    return None

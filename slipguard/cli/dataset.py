@@ -207,7 +207,7 @@ def _sensors(settings: Config | None, serial: str | None) -> list[Any]:
 
     from slipguard.config_errors import describe_validation_error
     from slipguard.devices import FINGERS, DriverContext
-    from slipguard.registry import load_driver
+    from slipguard.registry import build_device, load_driver
 
     group = "slipguard.tactile"
     sensors: list[Any] = []
@@ -221,7 +221,7 @@ def _sensors(settings: Config | None, serial: str | None) -> list[Any]:
     else:
         for name in FINGERS:
             section = getattr(settings, name)
-            sensors.append(load_driver(group, section.driver)(section.settings, DriverContext(name)))
+            sensors.append(build_device(group, section.driver, section.settings, DriverContext(name)))
     return sensors
 
 

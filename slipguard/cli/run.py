@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import faulthandler
+import math
 import sys
 from collections.abc import Iterator
 from functools import partial
@@ -143,7 +144,7 @@ def _find_problems(config: Config) -> Iterator[str]:
     from slipguard.daemon.api.paths import socket_path
     from slipguard.daemon.run import recordings_path
     from slipguard.daemon.store.state_dir import StateDir
-    from slipguard.errors import SlipguardError
+    from slipguard.errors import SlipguardError, describe_error
 
     model = config.perception.model
     if model is not None and not model.is_file():
@@ -161,10 +162,19 @@ def _find_problems(config: Config) -> Iterator[str]:
     if socket_path(config).is_dir():
         yield f"api.socket = {socket_path(config)}: a folder; give the path of a file"
     try:
-        gripper_min_n, _ = _devices(config)["gripper"].force_limits_n
+        gripper_min_n, gripper_max_n = _devices(config)["gripper"].force_limits_n
+        valid = 0.0 <= gripper_min_n < gripper_max_n < math.inf
     except SlipguardError as error:
         yield str(error)
         return
+    except Exception as error:
+        yield f"gripper: driver {config.gripper.driver!r}: force_limits_n: {describe_error(error)}; correct the driver"
+        return
+    if not valid:
+        yield (
+            f"gripper: driver {config.gripper.driver!r}: force_limits_n is {gripper_min_n:g} to {gripper_max_n:g} N; "
+            "the driver must give a lowest and a higher force"
+        )
     if config.guard.force_max_n < gripper_min_n:
         limit_n = config.guard.force_max_n
         yield f"guard.force_max_n = {limit_n:g}: the minimum force of this gripper is {gripper_min_n:g} N"
@@ -174,11 +184,13 @@ def _devices(config: Config) -> dict[str, Any]:
     """Return all four drivers with their settings, not opened. Raises SlipguardError for invalid settings."""
     from slipguard.config import GROUP_OF
     from slipguard.devices import DriverContext
-    from slipguard.registry import load_driver
+    from slipguard.registry import build_device
 
     sections = {name: getattr(config, name) for name in GROUP_OF}
     return {
-        name: load_driver(GROUP_OF[name], section.driver)(section.settings, DriverContext(name, mode=config.guard.mode))
+        name: build_device(
+            GROUP_OF[name], section.driver, section.settings, DriverContext(name, mode=config.guard.mode)
+        )
         for name, section in sections.items()
     }
 

@@ -42,7 +42,7 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.stored_reference import ResumingPipeline
 from slipguard.recording.recorder import Recorder
-from slipguard.registry import load_driver
+from slipguard.registry import build_device
 from slipguard.thread_priority import set_worker_priority
 
 SWITCH_S = 0.0005
@@ -92,8 +92,8 @@ def build_service(
 
     def device(name: str) -> Any:
         section = getattr(config, name)
-        driver = load_driver(GROUP_OF[name], section.driver)
-        return driver(section.settings, DriverContext(name=name, world=world, mode=config.guard.mode))
+        context = DriverContext(name=name, world=world, mode=config.guard.mode)
+        return build_device(GROUP_OF[name], section.driver, section.settings, context)
 
     def pipeline_maker(name: str) -> Callable[[str], PerceptionPipeline]:
         segmenter = Segmenter(config.perception.model)

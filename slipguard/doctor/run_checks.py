@@ -17,7 +17,7 @@ from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, note, ok,
 from slipguard.doctor import gripper, machine, sensor, through_daemon
 from slipguard.doctor.through_daemon import OBSERVE_S, DaemonSamples
 from slipguard.errors import SlipguardError
-from slipguard.registry import load_driver
+from slipguard.registry import build_device
 
 DEVICE_S = 30.0
 """Time limit for the checks of one device."""
@@ -80,8 +80,8 @@ async def _check_device(name: str, config: Config, samples: DaemonSamples | None
     results: list[CheckResult] = []
     try:
         async with asyncio.timeout(DEVICE_S):
-            driver = load_driver(GROUP_OF[name], section.driver)
-            device = driver(section.settings, DriverContext(name, mode=config.guard.mode))
+            context = DriverContext(name, mode=config.guard.mode)
+            device = build_device(GROUP_OF[name], section.driver, section.settings, context)
             async for result in _device_checks(name, device, section, config, samples):
                 results += [result]  # one by one, so that results before a failure are kept
     except TimeoutError:

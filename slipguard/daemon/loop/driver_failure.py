@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import traceback
 from pathlib import Path
 from typing import Protocol
 
@@ -11,7 +10,7 @@ import structlog
 
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.device_health import Health
-from slipguard.errors import SlipguardError
+from slipguard.errors import SlipguardError, describe_error, raised_in
 
 log = structlog.get_logger()
 HERE = Path(__file__).parent
@@ -45,15 +44,9 @@ def error_place(source: object, error: BaseException) -> str:
     The place is left out if it is in this folder, where a returned value was found to be invalid.
     """
     source = getattr(source, "func", source)  # of a partial
-    place = [frame for frame in traceback.extract_tb(error.__traceback__)[-1:] if Path(frame.filename).parent != HERE]
-    where = "".join(f" ({Path(frame.filename).name}, line {frame.lineno})" for frame in place)
+    place = raised_in(error)
+    where = "" if place is None or place[0].parent == HERE else f" ({place[0].name}, line {place[1]})"
     return f"{source.__module__}.{getattr(source, '__qualname__', type(source).__qualname__)}{where}"
-
-
-def describe_error(error: BaseException) -> str:
-    """Return type and text of an exception in one line."""
-    text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 async def close_contained(device: Closable, health: Health) -> None:

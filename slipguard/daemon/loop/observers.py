@@ -8,7 +8,8 @@ from typing import TypeVar
 
 import structlog
 
-from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, describe_error, error_place
+from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, error_place
+from slipguard.errors import describe_error
 
 T = TypeVar("T")
 log = structlog.get_logger()

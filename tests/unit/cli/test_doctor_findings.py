@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from slipguard import registry
 from slipguard.config import Config, sim_config
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store.background_images import BackgroundImage
@@ -217,7 +218,7 @@ class Plain:
 
 
 async def ask(config: Config, driver: type, monkeypatch: pytest.MonkeyPatch) -> list[CheckResult]:
-    monkeypatch.setattr(run_checks, "load_driver", lambda group, name: driver)
+    monkeypatch.setattr(registry, "load_driver", lambda group, name: driver)
     return await run_checks._check_device("arm", config, None)
 
 
@@ -241,7 +242,7 @@ async def test_an_invalid_state_of_a_gripper_is_a_finding(monkeypatch: pytest.Mo
         async def close(self) -> None:
             return
 
-    monkeypatch.setattr(run_checks, "load_driver", lambda group, name: OtherClock)
+    monkeypatch.setattr(registry, "load_driver", lambda group, name: OtherClock)
     *_, found = await run_checks._check_device("gripper", sim_config(), None)
     assert found.status is CheckStatus.PROBLEM
     assert "in the future; use asyncio.get_running_loop().time()" in found.observed
