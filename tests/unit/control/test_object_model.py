@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 import numpy as np
 import pytest
-from controller_steps import Play
-from observations import arm, fused, guard_params
+from controller_steps import NOW_S, Play, seen_in, state_in
+from observations import arm, fused, gripper, guard_params
 from records import changed
 
 from slipguard.control import force_limits as limits
 from slipguard.control import needed_force as need
-from slipguard.control.messages import RequestKind
+from slipguard.control.control_step import step
+from slipguard.control.messages import RequestKind, StepOutput
 from slipguard.control.params import MODEL_RESERVE, GuardParams
+from slipguard.control.phases import AGAIN_TIMES
 from slipguard.control.state import Phase
 from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n
 from slipguard.sim.catalogue import find_object, object_names
@@ -170,3 +173,32 @@ def test_most_contacts_hold_the_torque_that_their_image_promises() -> None:
         radius_px = 1.5 * np.hypot(columns - columns.mean(), rows - rows.mean()).mean()
         shares.append(radius_px / math.sqrt(label(truth).sum() / math.pi))
     assert np.percentile(shares, 10) >= need.SEEN_SHARE
+
+
+def reference_step(**changes: Any) -> StepOutput:
+    """One step in REFERENCE with a contact that needs more than the present 40 N."""
+    params = guard_params(friction=0.6, mass_kg=0.4, lever_mm=60.0)
+    view = changed(seen_in(Phase.REFERENCE), fused=fused(at_s=NOW_S, contact_radius_mm=5.0))
+    return step(state_in(Phase.REFERENCE), changed(view, **changes), params)[1]
+
+
+def test_jaws_that_still_move_show_a_contact_at_an_unknown_force() -> None:
+    assert reference_step().hold_force_n is not None
+    assert reference_step(gripper=gripper(moving=True, at_s=NOW_S)).hold_force_n is None
+    assert reference_step(gripper=gripper(at_s=NOW_S - 0.6)).hold_force_n is None
+
+
+def test_no_force_is_added_for_a_contact_while_a_person_may_be_near() -> None:
+    assert reference_step(arm=arm(protective=True, at_s=NOW_S)).hold_force_n is None
+
+
+def test_a_contact_seen_again_raises_the_grip_only_if_it_needs_clearly_more() -> None:
+    """The noise of the seen area must not add a step each time."""
+    params = guard_params(friction=0.6, mass_kg=0.4, lever_mm=60.0)
+    view = changed(seen_in(Phase.REFERENCE), fused=fused(at_s=NOW_S, contact_radius_mm=5.0))
+    for times, firmer in ((AGAIN_TIMES - 0.02, False), (AGAIN_TIMES + 0.02, True)):
+        present_n = next(
+            n for n in np.arange(130.0, 40.0, -0.1) if (params.modelled_n(need.seen_pad(5.0, n)) or 0.0) > times * n
+        )
+        output = step(state_in(Phase.REFERENCE, target_n=float(present_n)), view, params)[1]
+        assert output.new_reference is firmer
