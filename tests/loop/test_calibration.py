@@ -29,7 +29,7 @@ def test_the_mean_and_the_noise_of_a_still_gel() -> None:
     assert not taken.image.flags.writeable
 
 
-def test_a_picture_that_trembles_is_refused() -> None:
+def test_an_image_that_trembles_is_refused() -> None:
     images = [image + np.uint8(20 * (index % 2)) for index, image in enumerate(still())]
     with pytest.raises(CommandRefused, match=r"left: the image is not still \(noise"):
         average_background(images, "left")
@@ -115,7 +115,7 @@ def test_it_is_refused_while_the_gripper_is_held_by_another_program() -> None:
     play(Cell(guard={"mode": "guard"}), scene)
 
 
-def test_a_moving_picture_stores_nothing() -> None:
+def test_a_moving_image_stores_nothing() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         cell.sensors["right"].numbered_images.flickers = True

@@ -15,7 +15,7 @@ from slipguard.daemon import run as root
 from slipguard.sim.world import World, WorldSettings
 
 
-def test_no_collection_of_garbage_looks_at_what_stays(tmp_path: Path) -> None:
+def test_garbage_collections_skip_what_exists_at_the_start(tmp_path: Path) -> None:
     frozen: list[int] = []
 
     async def extra_task_body(service: Any) -> None:

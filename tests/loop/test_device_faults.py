@@ -158,7 +158,7 @@ def swing(cell: Cell) -> None:
         made[-1].swings_since_s = cell.now_s
 
 
-def test_an_object_seen_to_turn_is_gripped_tighter() -> None:
+def test_an_object_seen_to_rotate_is_gripped_tighter() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         count = len(cell.gripper.commands)

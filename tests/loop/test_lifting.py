@@ -58,7 +58,7 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize("object_name", ["bar", "wrench"])
-def test_without_the_guard_it_turns_far(object_name: str) -> None:
+def test_without_the_guard_it_rotates_far(object_name: str) -> None:
     cell, rotations = carried(object_name, 1, controller=unguarded_step, height_mm=120.0)
     assert max(rotations) > 25.0
     assert [force_n for _, what, force_n in cell.gripper.commands if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
@@ -67,7 +67,7 @@ def test_without_the_guard_it_turns_far(object_name: str) -> None:
 DECLINED = {"left": "round contact", "right": "round contact"}
 
 
-def test_what_cannot_be_seen_turning_is_gripped_firmly_before_it_is_lifted() -> None:
+def test_an_object_without_estimate_is_gripped_firmly_before_the_lift() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         assert cell.service.state.held.no_estimate is not None
@@ -101,7 +101,7 @@ def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
     play(Cell("ball", 1, guard=BRISK, declined=DECLINED), scene)
 
 
-def test_what_cannot_be_seen_turning_is_not_lifted_where_that_is_refused() -> None:
+def test_an_object_without_estimate_is_not_lifted_where_that_is_refused() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
         with pytest.raises(CommandRefused, match=r"no rotation estimate \(left finger: round contact"):

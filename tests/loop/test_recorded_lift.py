@@ -98,7 +98,7 @@ def test_a_clock_that_is_set_right_is_believed_from_the_next_file_on(
     assert replay([open_recording(first), open_recording(others[0])]).on_recorded.differences == []
 
 
-def test_an_independent_reader_finds_every_turn_of_the_loop(lift: Path) -> None:
+def test_an_independent_reader_finds_every_cycle_of_the_loop(lift: Path) -> None:
     tightened = 0
     for path in lift.iterdir():
         with path.open("rb") as file:
@@ -144,7 +144,7 @@ def test_a_controller_that_decides_otherwise_is_detected(lift: Path) -> None:
     assert first.replayed.hold_force_n != first.recorded.hold_force_n
 
 
-def test_a_fault_is_kept_with_its_words(tmp_path: Path) -> None:
+def test_a_fault_is_kept_with_its_text(tmp_path: Path) -> None:
     recorded(Cell("wrench", 1), tmp_path, fail="protective_stop")
     opened = recordings([tmp_path / "kept"])
     played = replay(opened)

@@ -35,7 +35,7 @@ def reloader(cell: Cell, read: Callable[[], Config]) -> Reloader:
     return Reloader(cell.service, read, lambda: None)
 
 
-def test_every_changed_key_is_reported_as_the_file_spells_it() -> None:
+def test_every_changed_key_is_reported_as_in_the_file() -> None:
     new = config(guard={"force_max_n": 110, "mode": "guard"}, left={"driver": "fake", "fake": {"draw": "process"}})
     assert [str(change) for change in find_changes(config(), new)] == [
         'left.fake.draw: "inline" -> "process"',
@@ -57,7 +57,7 @@ def test_every_changed_key_is_reported_as_the_file_spells_it() -> None:
         {"recording": {"directory": "/var/lib/other"}},
     ],
 )
-def test_what_is_built_at_the_start_needs_a_restart(sections: dict[str, Any]) -> None:
+def test_a_key_that_is_read_only_at_the_start_needs_a_restart(sections: dict[str, Any]) -> None:
     (change, *_) = find_changes(config(), config(**sections))
     assert refusal_reason(change, config(**sections), CurrentGrip(Phase.IDLE, False, 0.0)) == "needs a restart"
 
@@ -73,7 +73,7 @@ def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
     assert refusal_reason(change, new, CurrentGrip(Phase.HOLDING, True, 40.0)) == "not possible while the object slips"
 
 
-def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
+def test_thresholds_take_effect_while_an_object_is_held() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         await cell.grasp()
@@ -92,7 +92,7 @@ def test_thresholds_are_taken_up_while_an_object_is_held() -> None:
     play(Cell("wrench", 1), scene)
 
 
-def test_a_budget_below_the_present_grip_is_refused_and_nothing_of_the_rest_is_taken_up() -> None:
+def test_a_force_limit_below_the_present_grip_is_refused_with_the_whole_file() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         await cell.grasp()

@@ -65,7 +65,7 @@ def test_a_refusal_of_the_gripper_is_reported() -> None:
     play(Cell(), scene)
 
 
-def test_two_wishes_at_once_are_both_answered_in_order() -> None:
+def test_two_requests_at_once_are_answered_in_order() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         asked_s = cell.now_s
@@ -100,7 +100,7 @@ def test_a_request_that_times_out_is_refused_and_not_carried_out_later() -> None
     play(Cell(), scene)
 
 
-def test_a_wish_whose_asker_has_gone_does_not_come_true() -> None:
+def test_a_request_whose_client_has_gone_is_not_executed() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
         asker = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GRASP)))

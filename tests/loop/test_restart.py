@@ -130,7 +130,7 @@ def test_a_latched_fault_outlives_the_daemon() -> None:
     ("gone", "code"),
     [(("left", "right"), FaultCode.FRAMES_LOST), (("gripper",), FaultCode.GRIPPER_SILENT)],
 )
-def test_what_does_not_come_back_with_the_daemon_stops_the_arm(gone: tuple[str, ...], code: FaultCode) -> None:
+def test_a_device_that_stays_away_after_a_restart_stops_the_arm(gone: tuple[str, ...], code: FaultCode) -> None:
     async def scene(rig: CampaignCell) -> None:
         await rig.kill()
         await asyncio.sleep(DEAD_S)

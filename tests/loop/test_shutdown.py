@@ -91,7 +91,7 @@ def test_a_device_that_swallows_a_cancellation_is_closed(rotation: int, there: b
 
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize("rotation", ROTATIONS)
-def test_so_is_a_sensor(rotation: int, there: bool) -> None:
+def test_a_sensor_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
     def sensed() -> Coroutine[Any, Any, None]:
         finger = Cell().service.fingers["left"]
         finger.capture.sensor = Careless(there)  # type: ignore[assignment]

@@ -37,7 +37,7 @@ def test_a_device_missing_at_the_start_is_waited_for_by_name(device: str) -> Non
     play(Cell("wrench", 1), scene)
 
 
-def test_with_no_device_at_all_the_service_waits_and_says_for_what() -> None:
+def test_without_any_device_the_service_waits_and_names_them() -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         for device in DEVICES:
@@ -83,7 +83,7 @@ async def carry(cell: Cell) -> None:
     await cell.lower()
 
 
-def test_what_is_asked_of_a_service_that_stops_is_refused() -> None:
+def test_requests_to_a_stopping_service_are_refused() -> None:
     async def main() -> None:
         cell = Cell()
         async with running(cell):
@@ -98,7 +98,7 @@ def test_what_is_asked_of_a_service_that_stops_is_refused() -> None:
 
 
 @pytest.mark.parametrize("first", ["left", "gripper", "arm"])
-def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
+def test_a_restart_adopts_the_held_object_and_guards_it(first: str) -> None:
     """The new service finds the devices in another order each time; this neither loosens the grip nor needs help."""
 
     async def main() -> None:
@@ -132,7 +132,7 @@ def test_a_restart_takes_over_what_is_held_and_guards_on(first: str) -> None:
     run_virtual(main())
 
 
-def test_an_arm_that_does_not_come_does_not_keep_a_found_object_unguarded() -> None:
+def test_a_missing_arm_does_not_leave_a_found_object_unguarded() -> None:
     async def main() -> None:
         world = World(seed=1)
         old = Cell("wrench", 1, guard=BRISK, world=world)

@@ -44,7 +44,7 @@ def test_a_late_loop_skips_and_counts_and_does_not_burst() -> None:
     ]  # one beat at once for the one now due, then on the grid again
 
 
-def test_news_wakes_before_the_beat() -> None:
+def test_a_new_value_wakes_before_the_next_tick() -> None:
     async def scenario() -> tuple[bool, bool, float]:
         ticker, wake, loop = Ticker(0.01), asyncio.Event(), asyncio.get_running_loop()
         start_s = loop.time()
@@ -119,7 +119,7 @@ def test_back_off_doubles_up_to_ten_times_and_starts_again() -> None:
     assert run_virtual(scenario()) == pytest.approx([0.5, 1, 2, 4, 5, 5, 0.5])
 
 
-def test_virtual_time_hands_over_what_an_executor_raises() -> None:
+def test_virtual_time_raises_what_an_executor_raises() -> None:
     async def scenario() -> None:
         loop = asyncio.get_running_loop()
         assert await loop.run_in_executor(None, len, "abc") == 3

@@ -205,7 +205,7 @@ def test_a_stopped_service_keeps_the_grip(container: Container, cell: Callable[[
     assert said(container, "the grip stays as it is")
 
 
-def test_the_doctor_looks_through_the_services_eyes(
+def test_the_doctor_checks_with_the_rights_of_the_service(
     container: Container, config: Path, cell: Callable[[], list[dict[str, Any]]]
 ) -> None:
     """Root could open all of them."""

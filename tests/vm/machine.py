@@ -93,7 +93,7 @@ class Machine:
         except OSError:  # also when an earlier answer has not come
             line = b""
         if not line:
-            raise AssertionError(f"no answer from the test machine within {limit_s:g} s; {self._last_words()}")
+            raise AssertionError(f"no answer from the test machine within {limit_s:g} s; {self._last_lines()}")
         return dict(json.loads(line))
 
     def _schedule(self, policy: int, first: int, others: int) -> None:
@@ -102,7 +102,7 @@ class Machine:
             with contextlib.suppress(OSError):
                 os.sched_setscheduler(thread, policy, os.sched_param(first if thread == self._qemu.pid else others))
 
-    def _last_words(self) -> str:
+    def _last_lines(self) -> str:
         """What QEMU and the machine's console say."""
         console = self.console.read_text(errors="replace") if self.console.exists() else ""
         if self._qemu.poll() is None:

@@ -7,17 +7,17 @@ from machine import Machine
 
 pytestmark = pytest.mark.vm
 
-LOOKS = 4
+ATTEMPTS = 4
 """The kernel and the driver are measured, not what else this host is doing: the best of several attempts counts."""
 ROTATED_GREY_LEVELS = 4.0
 """Colors survive YUYV within a gray level or two; an image rotated or mirrored is off by tens."""
 
 
 def test_sixty_frames_a_second_of_which_none_is_lost(machine: Machine) -> None:
-    for look in range(LOOKS):
+    for attempt in range(ATTEMPTS):
         with machine.undisturbed():
             seen = machine.play("scenes:rates", seconds=5.0)
-        print(f"look {look}: {seen}")
+        print(f"attempt {attempt}: {seen}")
         if seen["lost"] <= 0.005 * seen["handed_out"] and seen["fps"] == pytest.approx(60.0, abs=0.6):
             break
     else:
@@ -52,10 +52,10 @@ def test_old_firmware_and_other_formats(machine: Machine, pixels: str, settings:
 
 def test_every_fault_has_a_text(machine: Machine) -> None:
     names = {"stall": "DeviceTimeout", "freeze": "FrameFrozen", "corrupt": "FrameCorrupt", "short": "FrameCorrupt"}
-    for look in range(LOOKS):
+    for attempt in range(ATTEMPTS):
         with machine.undisturbed():
             seen = machine.play("scenes:faults", pixels="YUYV")
-        print(f"look {look}: {seen}")
+        print(f"attempt {attempt}: {seen}")
         assert {fault: seen[fault]["as"] for fault in names} == names
         if seen["stall"]["after_s"] <= 0.5:
             break
@@ -70,10 +70,10 @@ def test_a_kernel_that_drops_damaged_frames_causes_a_stalled_stream(machine: Mac
 
 
 def test_an_unplugged_sensor_is_reported_at_once(machine: Machine) -> None:
-    for look in range(LOOKS):
+    for attempt in range(ATTEMPTS):
         with machine.undisturbed():
             seen = machine.play("scenes:unplug")
-        print(f"look {look}: {seen}")
+        print(f"attempt {attempt}: {seen}")
         assert seen["as"] == "DeviceLost"
         if seen["after_s"] <= 0.05:
             return
@@ -82,10 +82,10 @@ def test_an_unplugged_sensor_is_reported_at_once(machine: Machine) -> None:
 
 @pytest.mark.parametrize("unplugged_s", [0.5, 2.5])
 def test_a_sensor_that_is_plugged_in_again_continues(machine: Machine, unplugged_s: float) -> None:
-    for look in range(LOOKS):
+    for attempt in range(ATTEMPTS):
         with machine.undisturbed():
             seen = machine.play("scenes:replug", unplugged_s=unplugged_s)
-        print(f"look {look}: {seen}")
+        print(f"attempt {attempt}: {seen}")
         assert seen["gone"]
         if seen["again_s"] <= 2.0:
             return

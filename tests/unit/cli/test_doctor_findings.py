@@ -248,12 +248,12 @@ async def test_an_invalid_state_of_a_gripper_is_a_finding(monkeypatch: pytest.Mo
     assert "in the future; use asyncio.get_running_loop().time()" in found.observed
 
 
-async def test_an_arm_without_a_look_of_its_own_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_arm_without_checks_of_its_own_is_not_opened(monkeypatch: pytest.MonkeyPatch) -> None:
     (found,) = await ask(sim_config(), Plain, monkeypatch)
     assert (found.status, "no checks of its own" in found.observed) == (CheckStatus.NOTE, True)
 
 
-async def test_a_look_that_does_not_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_check_that_does_not_end_is_cancelled(monkeypatch: pytest.MonkeyPatch) -> None:
     class Endless(Plain):
         async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
             await asyncio.sleep(3600)

@@ -54,7 +54,7 @@ def test_a_greater_force_from_before_the_restart_is_reported() -> None:
         (None, "the gripper is not connected"),
     ],
 )
-def test_a_grasp_is_refused_in_words(jaws: GripperState | None, says: str) -> None:
+def test_a_grasp_is_refused_with_a_reason(jaws: GripperState | None, says: str) -> None:
     state, command = step(
         state_in(Phase.IDLE), seen_in(Phase.IDLE, gripper=jaws, request=ask(RequestKind.GRASP)), PARAMS
     )

@@ -169,7 +169,7 @@ def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
     assert play.grasp.phase is Phase.HOLDING  # no rotation is required if it never could be estimated
 
 
-def test_without_a_reference_it_refuses_the_lift_in_words() -> None:
+def test_without_a_reference_it_refuses_the_lift_with_a_reason() -> None:
     play = without_estimate(guard_params(on_no_estimate="refuse"))
     assert play.grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
     refused = str(play.step(RequestKind.LIFT).refusal)

@@ -222,7 +222,7 @@ def test_where_it_cannot_go_down_it_stands(
     assert state.arm.putting_down is not stands
 
 
-def test_in_guard_mode_it_is_refused_in_words() -> None:
+def test_in_guard_mode_it_is_refused_with_a_reason() -> None:
     with pytest.raises(ValidationError, match="the arm belongs to another program"):
         guard_params(mode="guard", on_force_limit="lower")
     with pytest.raises(ConfigError, match="on_force_limit") as refusal:

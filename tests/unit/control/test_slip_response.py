@@ -109,7 +109,7 @@ def test_the_first_step_depends_on_the_load_and_not_on_the_force_limit(force_max
     assert "load 0.53 N·m, friction 0.58 ± 0.19: tightening from 40 N to 59 N" in response.message.text
 
 
-def test_an_object_that_turns_faster_lacks_more_force() -> None:
+def test_an_object_that_rotates_faster_lacks_more_force() -> None:
     slow, fast = (respond(state(), view(3.0, rate_deg_s)).hold_n or 0.0 for rate_deg_s in (60.0, 200.0))
     assert 40.0 < slow < fast
 

@@ -123,7 +123,7 @@ def test_a_sharp_line_that_stays_is_accepted_before_the_frames_time_out(fps: flo
     assert GuardTuning().frames_timeout_s >= 2.0 * REFUSED_MAX_S
 
 
-def test_frames_that_are_not_looked_at_do_not_count_as_refused() -> None:
+def test_frames_that_are_not_inspected_do_not_count_as_refused() -> None:
     gel, frames = camera(), TornFrames()
     assert frames.find(wrench(gel, 30.0), 10.0) is None
     frames.note_unread(10.2)

@@ -76,6 +76,6 @@ def test_a_slide_goes_along_gravity_in_both_images(wrist_deg: float, right: floa
     assert (other.x_mm, other.y_mm) == (pytest.approx(-left.x_mm, abs=1e-9), left.y_mm)
 
 
-def test_a_lever_off_the_horizontal_turns_less() -> None:
+def test_a_lever_off_the_horizontal_rotates_less() -> None:
     level, steep = (held(Scenario("bar", gel=SOFT, lever_deg=deg)).truth(T0 + 6.0) for deg in (0.0, 45.0))
     assert steep.elastic_deg == pytest.approx(math.cos(math.radians(45.0)) * level.elastic_deg, rel=0.15)

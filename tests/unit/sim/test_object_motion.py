@@ -230,7 +230,7 @@ def test_on_the_table_nothing_moves() -> None:
         assert end.load_n == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_table_hands_the_weight_over_while_it_leaves() -> None:
+def test_the_grip_takes_the_weight_while_the_object_leaves_the_table() -> None:
     weight_n = 0.35 * GRAVITY_M_S2
     loads = []
     for share in (0.25, 0.5, 1.0, 2.0):

@@ -28,7 +28,7 @@ def main() -> None:
     import scenes
 
     cv2.setNumThreads(1)
-    scenes.draw_pictures()
+    scenes.draw_images()
     with PORT.open("r+b", buffering=0) as port:
         say(port, {"ready": os.uname().release})
         pending = b""

@@ -64,7 +64,7 @@ async def rates(seconds: float) -> dict[str, object]:
     }
 
 
-def draw_pictures() -> None:
+def draw_images() -> None:
     """Something for the emulated sensors to send that is quickly drawn: a bar that rotates, in noise."""
     for seed, serial in enumerate(SERIALS):
         folder = IMAGES / serial
