@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import structlog
 from loop_cell import Cell, play
+from loop_doubles import FlatSensor
 from sampled import sampled
 from structlog.testing import capture_logs
 
@@ -90,6 +92,22 @@ def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: st
         await cell.until(lambda: not cell.service.waiting_for, 3.0)
 
     play(Cell("wrench", 1), scene)
+
+
+def test_remarks_that_raise_are_shown_as_an_error_of_the_driver() -> None:
+    class Sensor(FlatSensor):
+        @property
+        def remarks(self) -> tuple[str, ...]:
+            return (None,)[1]  # type: ignore[return-value]
+
+    async def scene(cell: Cell) -> None:
+        await cell.ready()
+        cell.sensors["left"].__class__ = Sensor
+        (remark,) = json.loads(await cell.handlers.state())["fingers"]["left"]["remarks"]
+        assert remark.startswith("error in test_driver_failures.")
+        assert "IndexError" in remark
+
+    play(Cell(), scene)
 
 
 @pytest.mark.parametrize("error", sampled(FAILURES))

@@ -53,7 +53,7 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
                 "frames_per_s": service.latency_stats.frames_per_s[name],
                 "age_s": _plain(getattr(observation, name).age_s) if observation is not None else None,
                 "counts": _plain(finger.capture.counts),
-                "remarks": list(finger.capture.sensor.remarks),
+                "remarks": finger.capture.remarks,
                 "gel": _plain(gels.get(name)),
             }
             for name, finger in service.fingers.items()

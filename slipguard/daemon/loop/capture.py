@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from slipguard.cancellation import raise_if_cancelled
 from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
-from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained, failure_reason
+from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained, error_place, failure_reason
 from slipguard.daemon.loop.driver_values import checked_frame
 from slipguard.devices import Frame, TactileSensor
-from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen
+from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, describe_error
 
 COPIES_MAX = 4
 """Frames that wait in the queue of a copy."""
@@ -131,6 +131,14 @@ class SensorCapture:
     def assume_serial(self, serial: str) -> None:
         """Use this serial number without opening the sensor."""
         self.serial = serial
+
+    @property
+    def remarks(self) -> list[str]:
+        """Return the sensor's remarks; an exception of the driver is one."""
+        try:
+            return list(self.sensor.remarks)
+        except Exception as error:
+            return [f"error in {error_place(type(self.sensor), error)}: {describe_error(error)}"]
 
     @contextlib.contextmanager
     def copy_frames(self) -> Iterator[asyncio.Queue[Frame]]:
