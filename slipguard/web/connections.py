@@ -31,7 +31,7 @@ TOO_MANY_HEAD = (
 _DISCONNECTED_KEY = "slipguard.disconnected"
 
 
-class Pace:
+class ReceiveQueue:
     """Handles what connections receive one at a time, each in its own cycle of the event loop.
 
     Otherwise one cycle would serve all connections of hostile clients, and a command over the Unix socket, which takes
@@ -59,12 +59,12 @@ class Pace:
 class BoundedHttpProtocol(H11Protocol):
     """uvicorn's HTTP/1.1 with a request timeout, a limit of the headers' size and a limit of connections.
 
-    pace: shared by the connections of a server; None: what is received is handled at once.
+    receive_queue: shared by the connections of a server; None: what is received is handled at once.
     """
 
-    def __init__(self, *arguments: Any, pace: Pace | None = None, **named: Any) -> None:
+    def __init__(self, *arguments: Any, receive_queue: ReceiveQueue | None = None, **named: Any) -> None:
         super().__init__(*arguments, **named)
-        self._pace = pace
+        self._receive_queue = receive_queue
         self._timeout: asyncio.TimerHandle | None = None
         self._received_at_s = 0.0
 
@@ -80,11 +80,11 @@ class BoundedHttpProtocol(H11Protocol):
 
     def data_received(self, data: bytes) -> None:
         self._received_at_s = self.loop.time()
-        if self._pace is None:
+        if self._receive_queue is None:
             self._handle(data)
         else:
             self.transport.pause_reading()
-            self._pace.add(self.loop, partial(self._handle, data))
+            self._receive_queue.add(self.loop, partial(self._handle, data))
 
     def _handle(self, data: bytes) -> None:
         for start in range(0, len(data), PIECE_BYTES):
@@ -92,7 +92,7 @@ class BoundedHttpProtocol(H11Protocol):
                 break  # refused, or now a WebSocket, which may send nothing before our response
             super().data_received(data[start : start + PIECE_BYTES])
         upgraded = self.transport.get_protocol() is not self
-        if self._pace is not None and (upgraded or not self.flow.read_paused):
+        if self._receive_queue is not None and (upgraded or not self.flow.read_paused):
             self.transport.resume_reading()
         if upgraded or self._responding:
             self._cancel_timeout()

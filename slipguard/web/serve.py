@@ -14,7 +14,7 @@ from starlette.types import ASGIApp
 
 from slipguard.web.access import AccessMiddleware
 from slipguard.web.app import make_app
-from slipguard.web.connections import HEADERS_MAX_BYTES, BoundedHttpProtocol, Pace
+from slipguard.web.connections import HEADERS_MAX_BYTES, BoundedHttpProtocol, ReceiveQueue
 from slipguard.web.middleware import ApiMiddleware, without_cookies
 from slipguard.web.route_context import RouteContext
 
@@ -50,7 +50,7 @@ async def serve(context: RouteContext, unix: socket.socket, tcp: socket.socket |
     servers = [(_make_server(ApiMiddleware(app), None), unix)]
     if tcp is not None and context.access is not None:
         protected = AccessMiddleware(app, context.access)
-        servers.append((_make_server(ApiMiddleware(protected, context.access.is_known), Pace()), tcp))
+        servers.append((_make_server(ApiMiddleware(protected, context.access.is_known), ReceiveQueue()), tcp))
     live = asyncio.create_task(context.run(), name="web: live")
     serving = [
         asyncio.create_task(server.serve(sockets=[listening]), name="web: http") for server, listening in servers
@@ -67,11 +67,11 @@ async def serve(context: RouteContext, unix: socket.socket, tcp: socket.socket |
         await asyncio.gather(live, return_exceptions=True)
 
 
-def _make_server(app: ASGIApp, pace: Pace | None) -> _Server:
+def _make_server(app: ASGIApp, receive_queue: ReceiveQueue | None) -> _Server:
     return _Server(
         uvicorn.Config(
             app,
-            http=cast(type[asyncio.Protocol], partial(BoundedHttpProtocol, pace=pace)),
+            http=cast(type[asyncio.Protocol], partial(BoundedHttpProtocol, receive_queue=receive_queue)),
             backlog=ACCEPTED_MAX,
             h11_max_incomplete_event_size=HEADERS_MAX_BYTES,
             ws="websockets-sansio",

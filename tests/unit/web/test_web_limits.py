@@ -235,7 +235,7 @@ async def test_the_host_is_checked_before_any_credentials(monkeypatch: pytest.Mo
 
 
 async def test_each_cycle_of_the_event_loop_handles_one_connection() -> None:
-    pace, handled, loop = connections.Pace(), list[int](), asyncio.get_running_loop()
+    receive_queue, handled, loop = connections.ReceiveQueue(), list[int](), asyncio.get_running_loop()
 
     def handle(number: int) -> None:
         handled.append(number)
@@ -245,17 +245,17 @@ async def test_each_cycle_of_the_event_loop_handles_one_connection() -> None:
     errors: list[object] = []
     loop.set_exception_handler(lambda loop, context: errors.append(context["exception"]))
     for number in range(4):
-        pace.add(loop, functools.partial(handle, number))
+        receive_queue.add(loop, functools.partial(handle, number))
     for number in range(4):
         await asyncio.sleep(0)
         assert handled == list(range(number + 1))
     assert [str(error) for error in errors] == ["a broken request"]
-    pace.add(loop, functools.partial(handle, 9))
+    receive_queue.add(loop, functools.partial(handle, 9))
     await asyncio.sleep(0)
     assert handled[-1] == 9
 
 
-async def test_a_large_body_of_a_paced_connection_arrives_completely(tmp_path: Path) -> None:
+async def test_a_large_body_of_a_queued_connection_arrives_completely(tmp_path: Path) -> None:
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
         headers = {"authorization": f"Bearer {access._token}"}
         for size, status in ((commands.BODY_MAX_BYTES, 200), (3_000_000, 413)):
