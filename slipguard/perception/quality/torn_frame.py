@@ -39,6 +39,8 @@ _STEP = np.array([[0.5, -1.5, 1.5, -0.5]], np.float32)
 """Step from line k - 1 to line k, minus the mean of the steps before and after it; on lines k - 2 to k + 1."""
 _SIDES = np.repeat(np.array([[-1.0, 1.0]], np.float32) / SIDE_PX, SIDE_PX, axis=1)
 """Mean of the lines from k on minus that of the lines before k."""
+_MEAN = np.tile(np.eye(3, dtype=np.float32) / np.float32(GROUP_PX), (GROUP_PX, 1))
+"""(24, 3): the mean of 8 pixels along a row, each with three colors."""
 
 Image = NDArray[np.uint8]
 Lines = NDArray[np.float32]
@@ -88,26 +90,26 @@ def find_tear(image: Image, previous: Image) -> Tear | None:
         image: (h, w, 3) uint8; h and w are multiples of 8.
         previous: The same shape.
     """
-    change = cv2.subtract(image, previous, dtype=cv2.CV_16S)
-    line = _torn_line(image, previous, np.asarray(change, np.int16))
+    change = np.asarray(cv2.subtract(image, previous, dtype=cv2.CV_32F), np.float32)
+    line = _torn_line(image, previous, _grouped(change))
     if line is not None:
         return Tear("column", line)
-    rows = (image.transpose(1, 0, 2), previous.transpose(1, 0, 2), np.asarray(cv2.transpose(change), np.int16))
-    line = _torn_line(*rows)
+    rows, columns = image.shape[0], image.shape[1] // GROUP_PX
+    along_rows = change.reshape(rows * columns, 3 * GROUP_PX) @ _MEAN
+    grouped = np.ascontiguousarray(along_rows.reshape(rows, columns, 3).transpose(1, 0, 2))
+    line = _torn_line(image.transpose(1, 0, 2), previous.transpose(1, 0, 2), grouped)
     return None if line is None else Tear("row", line)
 
 
-def _grouped(levels: NDArray[np.int16]) -> Lines:
+def _grouped(levels: Lines) -> Lines:
     """Return means over 8 pixels of the first axis: (n, m, 3) to (n / 8, m, 3) float32."""
     count, length = levels.shape[0] // GROUP_PX, levels.shape[1]
-    pixels = levels[: count * GROUP_PX].reshape(count, GROUP_PX, 3 * length)
-    means = pixels.sum(axis=1, dtype=np.int16) * np.float32(1.0 / GROUP_PX)
+    means = levels.reshape(count, GROUP_PX, 3 * length).sum(axis=1) * np.float32(1.0 / GROUP_PX)
     return np.asarray(means.reshape(count, length, 3), np.float32)
 
 
-def _torn_line(image: Image, previous: Image, change: NDArray[np.int16]) -> int | None:
-    """Return the first line of the lower part; lines are the second axis. change: image minus previous."""
-    difference = _grouped(change)
+def _torn_line(image: Image, previous: Image, difference: Lines) -> int | None:
+    """Return the first line of the lower part; lines are the second axis. difference: `_grouped`, from previous."""
     step = np.asarray(cv2.filter2D(difference, -1, _STEP, anchor=(2, 0)), np.float32)
     sides = np.asarray(cv2.filter2D(difference, -1, _SIDES, anchor=(SIDE_PX, 0)), np.float32)
     inner = slice(SIDE_PX, difference.shape[1] - SIDE_PX + 1)
@@ -146,6 +148,6 @@ def _share(values: NDArray[np.float32], share: float) -> float:
 def _is_in(image: Image, previous: Image, line: int, sides: Lines) -> bool:
     """Return whether the step at a line is rather in the image than, with the opposite sign, in the previous one."""
     lines = slice(line - 2, line + 2)
-    both = _grouped(np.add(image[:, lines], previous[:, lines], dtype=np.int16))
+    both = _grouped(np.add(image[:, lines], previous[:, lines], dtype=np.float32))
     step = np.einsum("gkc,k->gc", both, _STEP[0])
     return bool(_products(step[:, None], np.ascontiguousarray(sides[:, line : line + 1]))[0] > 0.0)
