@@ -14,7 +14,7 @@ from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, StageTimer
 from slipguard.perception.rotation.axial_angle import axial_difference_deg, axial_mean_deg
 from slipguard.perception.rotation.fusion import RotationEstimate, fuse_axis_rotations, rotation_between_axes
-from slipguard.perception.rotation.patch_axis import FIT_AXIS, PatchAxis, cut_share, skeleton_axis
+from slipguard.perception.rotation.patch_axis import FIT_AXIS, PatchAxis, coarse_step, cut_share, skeleton_axis
 from slipguard.perception.rotation.round_contact import round_axis_reason
 from slipguard.perception.rotation.skeleton import MiddleLine, middle_line
 from slipguard.perception.settings import EstimatorName
@@ -76,7 +76,7 @@ class AxisEstimation:
         return axes
 
     def _skeleton(self, patch: Patch, others: PatchAxes, timer: StageTimer) -> PatchAxes:
-        line = middle_line(patch)
+        line = middle_line(patch, coarse_step(patch.mask))
         timer.mark("thin")
         axis = _skeleton_estimate(patch, line, self._round_aspect)
         timer.mark("angle")
@@ -86,7 +86,7 @@ class AxisEstimation:
 def estimate_axis(patch: Patch, name: str, round_aspect: float = ROUND_ASPECT) -> AxisEstimate:
     """Estimate the axis of a patch by `name`, one of `ESTIMATORS`; never raises on any patch."""
     if name == "skeleton":
-        return _skeleton_estimate(patch, middle_line(patch), round_aspect)
+        return _skeleton_estimate(patch, middle_line(patch, coarse_step(patch.mask)), round_aspect)
     axis, declined = FIT_AXIS[name](patch)
     return _checked_axis(patch, name, axis, declined, round_aspect)
 

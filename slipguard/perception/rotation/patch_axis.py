@@ -16,6 +16,8 @@ from slipguard.perception.rotation.skeleton import MiddleLine
 
 EVEN_SHARE = 0.1
 """Largest difference, as a share, between the halves of a patch on even and odd rows and columns."""
+LARGE_PX = 4000
+"""A crop with more network pixels is large."""
 SMALLEST_PX = 40
 """Smallest patch with an axis, network pixels."""
 LINE_SHARE_MIN = 0.3
@@ -109,8 +111,7 @@ def _square_cut(patch: Patch, weights: Weights, binary: bool) -> tuple[PatchAxis
         return None, _too_small(patch)
     if not patch.clipped.any:
         return axis, None
-    # Large patches are cut at half the resolution: four times faster, and the ends stay sharp enough.
-    step = 2 if weights.size > 4000 and _even(weights) else 1
+    step = coarse_step(weights)  # the ends stay sharp enough
     coarse = np.ascontiguousarray(weights[::step, ::step])
     edge_x, edge_y = _edge_points(patch)
     across, down = edge_x - np.float32(axis.x_px), edge_y - np.float32(axis.y_px)
@@ -135,10 +136,15 @@ def _square_cut(patch: Patch, weights: Weights, binary: bool) -> tuple[PatchAxis
     return axis, None
 
 
-def _even(weights: Weights) -> bool:
-    """Return whether every other row and column is representative; of thin lines some would be missed."""
+def coarse_step(weights: Weights) -> int:
+    """Return 2 if a patch is so large that every other row and column is enough, else 1.
+
+    Of thin lines some would be missed: then the sums over the four halves of rows and columns differ.
+    """
+    if weights.size <= LARGE_PX:
+        return 1
     quarters = [float(weights[row::2, column::2].sum()) for row in (0, 1) for column in (0, 1)]
-    return max(quarters) - min(quarters) <= EVEN_SHARE * max(quarters)
+    return 2 if max(quarters) - min(quarters) <= EVEN_SHARE * max(quarters) else 1
 
 
 def _edge_points(patch: Patch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -22,7 +22,7 @@ class MiddleLine:
     """The pixels of the skeleton that define the axis.
 
     x_px, y_px: crop coordinates, right and down. weight: distance to the contour, network pixels.
-    share: share of the skeleton. skeleton: (h, w) uint8, the whole skeleton, in the crop.
+    share: share of the skeleton. skeleton: (h, w) uint8, the whole skeleton, on the thinned pixels of the crop.
     """
 
     x_px: NDArray[np.float64]
@@ -32,17 +32,19 @@ class MiddleLine:
     skeleton: NDArray[np.uint8]
 
 
-def middle_line(patch: Patch) -> MiddleLine:
-    """Thin a patch and keep the pixels that are on no corner branch and no closer than half a width to a cut side."""
-    sides = patch.clipped
-    top, bottom = CUT_PADDING_PX * sides.top, CUT_PADDING_PX * sides.bottom
-    left, right = CUT_PADDING_PX * sides.left, CUT_PADDING_PX * sides.right
-    mask = patch.mask
+def middle_line(patch: Patch, step: int = 1) -> MiddleLine:
+    """Thin a patch and keep the pixels that are on no corner branch and no closer than half a width to a cut side.
+
+    step: only every step-th row and column is thinned, which takes about step cubed times less time.
+    """
+    sides, padding = patch.clipped, CUT_PADDING_PX // step
+    top, bottom, left, right = (padding * cut for cut in (sides.top, sides.bottom, sides.left, sides.right))
+    mask = np.ascontiguousarray(patch.mask[::step, ::step])
+    rows, columns = mask.shape
     if sides.any:
         mask = np.asarray(cv2.copyMakeBorder(mask, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
     inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
     skeleton = thin(mask)
-    rows, columns = patch.mask.shape
     skeleton = skeleton[top : top + rows, left : left + columns]
     y, x = np.nonzero(skeleton)
     slope_x = cv2.Sobel(inside, cv2.CV_32F, 1, 0, ksize=5, scale=1 / 128)[y + top, x + left]
@@ -58,9 +60,9 @@ def middle_line(patch: Patch) -> MiddleLine:
     if sides.bottom:
         keep &= rows - 1 - y > weight
     return MiddleLine(
-        x[keep].astype(np.float64),
-        y[keep].astype(np.float64),
-        weight[keep].astype(np.float64),
+        step * x[keep].astype(np.float64),
+        step * y[keep].astype(np.float64),
+        step * weight[keep].astype(np.float64),
         float(np.count_nonzero(keep)) / max(keep.size, 1),
         skeleton,
     )

@@ -45,13 +45,14 @@ def patch_of(probability: NDArray[np.float32]) -> Patch:
 @pytest.mark.parametrize("name", ALL)
 @pytest.mark.parametrize("shape", ["bar", "key"])
 def test_angles_are_counter_clockwise_with_zero_to_the_right(name: str, shape: str) -> None:
+    coarse = 2.0 if name == "skeleton" else 1.0  # large patches are thinned at half the resolution
     for angle in (-80, -45, -10, 0, 30, 60, 90):
         found = axis_by(patch_of(drawn(shape, angle)), name)
         assert found.angle_deg is not None, found
         assert -90.0 < found.angle_deg <= 90.0
-        assert abs(axial_difference_deg(found.angle_deg, angle)) < 0.8
+        assert abs(axial_difference_deg(found.angle_deg, angle)) < 0.8 * coarse
         if shape == "bar":
-            assert found.center_px == pytest.approx((120.5, 160.5), abs=1.0)
+            assert found.center_px == pytest.approx((120.5, 160.5), abs=coarse)
 
 
 @given(st.sampled_from(ELONGATED), st.floats(-90, 90), st.floats(-90, 90), st.integers(0, 99))
