@@ -124,7 +124,7 @@ class Pipeline:
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact becomes a new one."""
         noise_bgr = self._gate.noise_bgr if self._gate.noise_known else None
-        self._meter = RotationMeter(self._settings, self._frame_px, self._axes, self._background, noise_bgr)
+        self._meter = RotationMeter(self._settings, self._axes, self._background, noise_bgr)
         self._reference_difference_levels = 0.0
         self._forget_measured()
 
@@ -196,6 +196,12 @@ class Pipeline:
 
         self._refuse_torn(image, frame)
         timer.mark("gate")
+        return self._measure_segmented(image, blocks, frame, unchanged, timer)
+
+    def _measure_segmented(
+        self, image: NDArray[np.uint8], blocks: Blocks, frame: Frame, unchanged: bool, timer: StageTimer
+    ) -> Estimate:
+        """Return the estimate by the network's contact."""
         self._whole = None
         probability = self._segmenter.segment(image, self._background)
         timer.mark("segment")
@@ -214,18 +220,17 @@ class Pipeline:
             return self._declined(frame, quality.declined, timer)
 
         had_reference = self.has_reference
-        measurement = self._meter.measure(image, patch, now_s, timer)
+        measurement = self._meter.measure(image, patch, frame.captured_at_s, timer)
         if not had_reference:
             self._reference_difference_levels = quality.difference_levels
         rotation = widen_for_light(measurement.rotation, quality.difference_levels - self._reference_difference_levels)
-        shift = measurement.shift
         axis_deg = fuse_axes(list(measurement.axes.values())).angle_deg
         orientation_deg = None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg)
-        estimate = self._estimate(frame, patch, rotation, shift, orientation_deg, timer)
+        estimate = self._estimate(frame, patch, rotation, measurement.shift, orientation_deg, timer)
         timer.mark("track")
         self._note_measured(blocks, near, unchanged, estimate)
-        measured = rotation.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
-        if measured and shift is not None:
+        measured = estimate.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
+        if measured and measurement.shift is not None:
             away = (~blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))).astype(np.float32)
             self._whole = _WholeContact(blocks, near, away, estimate, quality.difference_levels)
         return estimate

@@ -86,7 +86,7 @@ def _begin_drift(product: ProductFunctions) -> TrialFunction:
     contacts = _RotatedContacts(product)
     # Contours only. Texture, further references and skipped frames belong to the family `holding`.
     settings = PerceptionSettings(reference="first", estimator="registration")
-    meter = RotationMeter(settings, MAP_PX, contacts, tracker=product.tracker())
+    meter = RotationMeter(settings, contacts, tracker=product.tracker())
     frame = 0
 
     def measure(angle_deg: int, variant: int) -> RotationEstimate:

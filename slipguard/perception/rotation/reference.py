@@ -9,17 +9,20 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
+from slipguard.perception.estimate import StageTimer
 from slipguard.perception.quality.background import estimate_background
-from slipguard.perception.rotation.axis import PatchAxes
+from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes
+from slipguard.perception.rotation.contour_meter import ContourMeter
 from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.perception.rotation.gel_contour import GelContour
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
-from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker
 
@@ -34,22 +37,45 @@ CARRIED_SIGMA_DEG = 1.5
 this factor, if the rotation until then is known to this sigma; that rotation is added from then on."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Reference:
-    """What rotations are measured against. axes: by estimator. Center in frame pixels.
+    """What rotations are measured against.
 
-    image: the reference frame, (320, 240, 3) uint8. shift: measures the shift since then. texture: tracks the texture
-    in the contact; None without a background image, or if the contact has too little texture. contour: recognizes a
-    contour that is the gel's own.
+    What only some later frames need is computed when one first needs it, or before that by `prepare`.
+
+    image: the reference frame, (320, 240, 3) uint8. texture_map: its texture. fast_axes: by the fast estimator.
+    shift: measures the shift since then. texture: tracks the texture in the contact; None without a background image,
+    or if the contact has too little texture. contour: registers the contact's contour. gel_contour: recognizes one that
+    is the gel's own.
     """
 
     image: NDArray[np.uint8]
-    axes: PatchAxes
     patch: Patch
+    estimation: AxisEstimation
+    fast_axes: PatchAxes
+    texture_map: TextureMap
     texture: TextureTracker | None
-    contour: GelContour
-    center_px: tuple[float, float]
+    contour: ContourMeter
+    gel_contour: GelContour
     shift: ShiftMeter
+
+    @cached_property
+    def axes(self) -> PatchAxes:
+        """The patch's axes by every estimator."""
+        return self.estimation.all(self.patch, self.fast_axes, StageTimer(None))
+
+    def prepare(self) -> None:
+        """Compute one thing that later frames may need, if any is missing; called in frames that take little time."""
+        things = (
+            (self.shift, "period"),
+            (self.texture, "period_deg"),
+            (self.contour, "template"),
+            (self, "axes"),
+        )
+        for owner, name in things:
+            if owner is not None and name not in vars(owner):
+                getattr(owner, name)
+                return
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,29 +90,33 @@ class RotationMeasurement:
 def make_reference(
     image: NDArray[np.uint8],
     patch: Patch,
-    axes: PatchAxes,
+    estimation: AxisEstimation,
+    fast_axes: PatchAxes,
     reader: TextureMapReader | None,
-    rotated_unseen: bool,
+    rotation_deg: float | None,
 ) -> Reference:
     """Make a patch the reference.
 
     Args:
         image: The frame, (320, 240, 3) uint8 BGR.
         patch: The contact in it.
-        axes: The patch's axes.
+        estimation: Estimates the patch's other axes.
+        fast_axes: Its axes by the fast estimator.
         reader: Reads texture maps; it learns the colors of this contact. None without a background image.
-        rotated_unseen: Whether the object may have rotated by any angle since then.
+        rotation_deg: The last known rotation since a stored reference: it may have rotated by any angle since then.
+            None: the patch is the current one.
     """
     texture = template = None
     known = reader is not None
     reader = reader or TextureMapReader(estimate_background(image))
     reader.learn(image, patch)
-    texture_map = reader.read(image, patch)
+    texture_map, slopes = reader.read_with_slopes(image, patch)
     if known:
         template = make_texture_template(texture_map, patch)
-        texture = None if template is None else TextureTracker(template, rotated_unseen)
-    contour = GelContour(texture_map, reader.slopes(image, patch), patch)
-    return Reference(image, axes, patch, texture, contour, patch.center_px, ShiftMeter(template, patch))
+        texture = None if template is None else TextureTracker(template, rotation_deg is not None)
+    contour, gel_contour = ContourMeter(patch, rotation_deg or 0.0), GelContour(texture_map, slopes, patch)
+    shift = ShiftMeter(template, patch)
+    return Reference(image, patch, estimation, fast_axes, texture_map, texture, contour, gel_contour, shift)
 
 
 class ReferenceSelector:

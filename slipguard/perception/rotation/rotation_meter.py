@@ -12,8 +12,6 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import StageTimer
 from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes, rotation_of_axes
-from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
-from slipguard.perception.rotation.contour_template import ContourTemplate, make_contour_template
 from slipguard.perception.rotation.fusion import (
     RotationEstimate,
     fuse_rotation,
@@ -34,19 +32,34 @@ UNKNOWN_SIGMAS = 2.0
 GROWTH_SIGMAS = 2.0
 """Factor on sigma for each doubling or halving of the contact area since the reference, for contacts without edges and
 without a background image: force changes their contour in other ways than a rotation."""
-MISFIT_SIGMAS = 1.5
-"""If the contour is not the reference's any more, the axis is off too: by this share of the contour's misfit."""
-SECOND_START_DEG = 4.0
-"""If the axis points further away than this from the registered contour, registration also starts from there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Contact:
+    """A segmented contact to be measured against the reference.
+
+    texture_map: its texture; None where that is not used. axes: by the fast estimator. predicted_deg: the expected
+    rotation. center_shift_px: how far its center has moved, frame pixels right and down. lost: whether the rotation has
+    been unknown for longer than `GAP_S`.
+    """
+
+    patch: Patch
+    texture_map: TextureMap | None
+    axes: PatchAxes
+    predicted_deg: float
+    center_shift_px: tuple[float, float]
+    lost: bool
 
 
 @dataclass(frozen=True, slots=True)
-class _ContourMeasurement:
-    """Rotation by the contour; the axis, widened if the contact has changed; shift in frame pixels right and down."""
+class _Fused:
+    """Rotation by texture, contour and axis; the texture; the contour's shift in frame pixels; the axes used."""
 
     rotation: RotationEstimate
-    axis: RotationEstimate
-    shift_px: tuple[float, float]
+    found: TrackedTexture | None
+    contour_shift_px: tuple[float, float]
+    axes: PatchAxes
+    by_texture: bool
 
 
 class RotationMeter:
@@ -54,7 +67,6 @@ class RotationMeter:
 
     Args:
         settings: Estimator, reference and limits.
-        frame_px: Frame pixels per network pixel.
         axes: Estimates the axes of patches.
         background: The unit's background image, (320, 240, 3) uint8, or None: then the texture is not used.
         noise_bgr: Standard deviation of a pixel, gray levels; None if unknown: sigmas are larger then.
@@ -64,7 +76,6 @@ class RotationMeter:
     def __init__(
         self,
         settings: PerceptionSettings,
-        frame_px: float,
         axes: AxisEstimation,
         background: NDArray[np.uint8] | None = None,
         noise_bgr: NDArray[np.floating] | None = None,
@@ -72,12 +83,11 @@ class RotationMeter:
     ) -> None:
         self.reference: Reference | None = None
         self._settings = settings
-        self._frame_px = frame_px
+        self._fuses_axis = settings.estimator == "fused"
+        self._registers = self._fuses_axis or settings.estimator == "registration"
         self._axes = axes
         self._reader = None if background is None else TextureMapReader(background, noise_bgr)
         self._tracker = RotationTracker() if tracker is None else tracker
-        self._template: ContourTemplate | None = None
-        self._pose = ContourPose()
         self._choice = ReferenceSelector(settings.reference == "first")
         self._segmented: SegmentedTexture | None = None
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
@@ -128,10 +138,9 @@ class RotationMeter:
         else:
             axes = self._axes.fast(patch, timer)
             return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, axes)
-        axes = self.take_reference(image, patch, now_s, timer)
+        reference = self.take_reference(image, patch, now_s, timer)
         choice.provisional = not stable
-        assert self.reference is not None
-        return choice.with_carried(self._measure(self.reference, image, patch, now_s, axes, timer))
+        return choice.with_carried(self._measure(reference, image, patch, now_s, reference.fast_axes, timer))
 
     def _measure(
         self,
@@ -143,65 +152,97 @@ class RotationMeter:
         timer: StageTimer,
     ) -> RotationMeasurement:
         """Measure rotation and shift since the reference."""
-        name = self._settings.estimator
         predicted_deg = self._predicted_deg(reference, now_s)
-        axis = rotation_of_axes(reference.axes, axes, predicted_deg)
         self._note_gap(now_s)
+        texture_map, found = self._texture_in(reference, image, patch, now_s)
+        (x, y), (before_x, before_y) = patch.center_px, reference.patch.center_px
         lost = now_s - self._tracker.known_at_s > GAP_S
-        center_px = patch.center_px
-        center_shift_px = (center_px[0] - reference.center_px[0], center_px[1] - reference.center_px[1])
+        contact = _Contact(patch, texture_map, axes, predicted_deg, (x - before_x, y - before_y), lost)
+        fused = self._fuse(reference, contact, found, timer)
+        if fused.found is not None and fused.found.fit is not None:
+            self._segmented = SegmentedTexture(now_s, fused.found.fit, fused.found.rotation, fused.rotation)
+        shift = reference.shift.measure(now_s, patch, fused.found, fused.contour_shift_px)
+        return self._accept(now_s, reference, fused.rotation, patch, shift, fused.found, fused.axes, fused.by_texture)
 
-        if name not in ("fused", "registration"):
-            shift = reference.shift.measure(now_s, patch, None, center_shift_px)
-            return self._accept(now_s, reference, fuse_rotation(None, None, axis), patch, shift, None, axes)
-
-        (tried_at_s, texture_map, found), self._tried = self._tried, (-math.inf, None, None)
-        if tried_at_s != now_s or found is None or found.rotation.rotation_deg is None:
-            texture_map, found = self._read_texture(reference, image, patch), None
-        elif texture_map is not None and reference.texture is not None:
-            reference.texture.take_key_if_due(texture_map, patch, found)
-        if texture_map is not None and reference.texture is not None and found is None:
-            if lost and not reference.texture.round and reference.texture.period_deg is None:
-                found = reference.texture.search_everywhere(texture_map, patch, predicted_deg)
-                if found.rotation.rotation_deg is not None:
-                    predicted_deg = found.rotation.rotation_deg
-                    axis = rotation_of_axes(reference.axes, axes, predicted_deg)
-            else:
-                found = reference.texture.track(texture_map, patch, predicted_deg, axis)
-        timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
+    def _texture_in(
+        self, reference: Reference, image: NDArray[np.uint8], patch: Patch, now_s: float
+    ) -> tuple[TextureMap | None, TrackedTexture | None]:
+        """Return the texture map, and what `measure_texture` has found in this frame if that is certain."""
         self._segmented = None
+        (tried_at_s, texture_map, found), self._tried = self._tried, (-math.inf, None, None)
+        if tried_at_s != now_s or texture_map is None or found is None or found.rotation.rotation_deg is None:
+            return self._read_texture(reference, image, patch), None
+        if reference.texture is not None:
+            reference.texture.take_key_if_due(texture_map, patch, found)
+        return texture_map, found
+
+    def _fuse(self, reference: Reference, contact: _Contact, found: TrackedTexture | None, timer: StageTimer) -> _Fused:
+        """Return the rotation by what the setting asks for; the contour follows if texture and axis are not enough.
+
+        found: the texture if it has been found already.
+        """
+        axis = rotation_of_axes(reference.fast_axes, contact.axes, contact.predicted_deg)
+        if not self._registers:
+            return _Fused(fuse_rotation(None, None, axis), None, contact.center_shift_px, contact.axes, False)
+        if found is None:
+            found = self._find_texture(reference, contact, axis)
+        if contact.lost and found is not None and found.rotation.rotation_deg is not None:
+            contact = replace(contact, predicted_deg=found.rotation.rotation_deg)
+            axis = rotation_of_axes(reference.fast_axes, contact.axes, contact.predicted_deg)
+        timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
         texture = None if found is None else found.rotation
 
         remembers = reference.texture is not None and reference.texture.remembers
         remembers = remembers and texture is not None and texture.rotation_deg is not None
         if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
-            rotation = fuse_rotation(texture, None, axis if name == "fused" and not remembers else None)
-            self._note_segmented(now_s, found, rotation)
-            shift = reference.shift.measure(now_s, patch, found, center_shift_px)
-            return self._accept(now_s, reference, rotation, patch, shift, found, axes, by_texture=True)
+            rotation = fuse_rotation(texture, None, axis if self._fuses_axis and not remembers else None)
+            return _Fused(rotation, found, contact.center_shift_px, contact.axes, True)
+        return self._fuse_with_contour(reference, contact, found, axis, timer)
 
+    def _find_texture(self, reference: Reference, contact: _Contact, axis: RotationEstimate) -> TrackedTexture | None:
+        texture, texture_map = reference.texture, contact.texture_map
+        if texture is None or texture_map is None:
+            return None
+        if contact.lost and not texture.round and texture.period_deg is None:
+            return texture.search_everywhere(texture_map, contact.patch, contact.predicted_deg)
+        return texture.track(texture_map, contact.patch, contact.predicted_deg, axis)
+
+    def _fuse_with_contour(
+        self,
+        reference: Reference,
+        contact: _Contact,
+        found: TrackedTexture | None,
+        axis: RotationEstimate,
+        timer: StageTimer,
+    ) -> _Fused:
+        """Register the contour, from where texture or axis point; then search the texture again near the contour."""
+        axes, patch, predicted_deg = contact.axes, contact.patch, contact.predicted_deg
+        texture = None if found is None else found.rotation
         certain = texture is not None and is_certain(texture)
         if not certain:
-            axes = self._axes.all(patch, axes, timer)
+            axes = reference.axes if patch is reference.patch else self._axes.all(patch, axes, timer)
             axis = rotation_of_axes(reference.axes, axes, predicted_deg)
         near_deg = predicted_deg if texture is None or texture.rotation_deg is None else texture.rotation_deg
-        contour = self._measure_contour(reference, patch, axis, near_deg, center_shift_px, from_axis=not certain)
+        contour = reference.contour.measure(patch, axis, near_deg, contact.center_shift_px, from_axis=not certain)
+        by_contour = contour.rotation
+        if reference.texture is not None and reference.texture.ambiguous and axis.rotation_deg is None:
+            by_contour = RotationEstimate(None, None, DeclineReason.PERIOD_AMBIGUOUS)  # a nut's contour repeats too
         timer.mark("register")
-        if found is not None and texture_map is not None and reference.texture is not None and not lost:
-            shape = contour.axis if contour.rotation.rotation_deg is None else contour.rotation
-            found = reference.texture.track_again(texture_map, patch, predicted_deg, found, shape, contour.shift_px)
+        if found is not None and contact.texture_map is not None and reference.texture is not None and not contact.lost:
+            shape = contour.axis if by_contour.rotation_deg is None else by_contour
+            found = reference.texture.track_again(
+                contact.texture_map, patch, predicted_deg, found, shape, contour.shift_px
+            )
         timer.mark("relief")
         uneven_deg = 0.0 if found is None else found.uneven_deg
         rotation = fuse_rotation(
             None if found is None else found.rotation,
-            contour.rotation.widened(uneven_deg),
-            contour.axis.widened(uneven_deg) if name == "fused" else None,
+            by_contour.widened(uneven_deg),
+            contour.axis.widened(uneven_deg) if self._fuses_axis else None,
             1.0 if found is None else found.deformation,
             uneven_deg,
         )
-        self._note_segmented(now_s, found, rotation)
-        shift = reference.shift.measure(now_s, patch, found, contour.shift_px)
-        return self._accept(now_s, reference, rotation, patch, shift, found, axes)
+        return _Fused(rotation, found, contour.shift_px, axes, False)
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
@@ -213,7 +254,7 @@ class RotationMeter:
         reference, before = self.reference, self._segmented
         if reference is None or reference.texture is None or before is None or self._tracker.offered_deg is not None:
             return None
-        if self._settings.estimator not in ("fused", "registration") or self._choice.carries:
+        if not self._registers or self._choice.carries:
             return None
         lost = now_s - self._tracker.known_at_s > GAP_S
         if (lost or self._choice.provisional) and not reference.texture.round:
@@ -229,11 +270,8 @@ class RotationMeter:
         if rotation is None:
             return None
         shift = reference.shift.follow(now_s, found)
+        reference.prepare()  # this frame takes little time
         return self._accept(now_s, reference, rotation, patch, shift, found, {}, by_texture=rotation is found.rotation)
-
-    def _note_segmented(self, now_s: float, found: TrackedTexture | None, fused: RotationEstimate) -> None:
-        if found is not None and found.fit is not None:
-            self._segmented = SegmentedTexture(now_s, found.fit, found.rotation, fused)
 
     def take_reference(
         self,
@@ -242,8 +280,8 @@ class RotationMeter:
         now_s: float,
         timer: StageTimer,
         rotation_deg: float | None = None,
-    ) -> PatchAxes:
-        """Make a patch the reference.
+    ) -> Reference:
+        """Make a patch the reference and return it.
 
         Args:
             image: The frame, (320, 240, 3) uint8 BGR.
@@ -251,18 +289,13 @@ class RotationMeter:
             now_s: The current time.
             timer: Collects the time per stage.
             rotation_deg: The last known rotation since a stored reference; None: the patch is the current one.
-
-        Returns:
-            The patch's axes by every estimator.
         """
-        axes = self._axes.all(patch, self._axes.fast(patch, timer), timer)
-        self.reference = make_reference(image, patch, axes, self._reader, rotation_deg is not None)
+        axes = self._axes.fast(patch, timer)
+        self.reference = make_reference(image, patch, self._axes, axes, self._reader, rotation_deg)
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._segmented = None
-        self._template = None
-        self._pose = ContourPose(rotation_deg or 0.0)
-        return axes
+        return self.reference
 
     def _predicted_deg(self, reference: Reference, now_s: float) -> float:
         """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
@@ -289,8 +322,8 @@ class RotationMeter:
         factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
         moved_px = 0.0 if shift.shift_px is None else math.hypot(*shift.shift_px)
         twist_deg, lean = (0.0, 0.0) if found is None else (found.twist_deg, found.lean)
-        rotation = widen_for_slip(rotation, twist_deg, reference.contour.smooth)
-        rotation = reference.contour.check(rotation, patch, factor, lean, moved_px)
+        rotation = widen_for_slip(rotation, twist_deg, reference.gel_contour.smooth)
+        rotation = reference.gel_contour.check(rotation, patch, factor, lean, moved_px)
         if self._reader is None and rotation.sigma_deg is not None:
             rotation = replace(rotation, sigma_deg=UNKNOWN_SIGMAS * factor * rotation.sigma_deg)
         limit = self._settings.sigma_max_deg
@@ -309,45 +342,6 @@ class RotationMeter:
         self.reference.texture.note_gap(now_s - tracker.known_at_s, tracker.last_rate_deg_s, tracker.unexpected_deg)
 
     def _read_texture(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> TextureMap | None:
-        return None if self._reader is None or reference.texture is None else self._reader.read(image, patch)
-
-    def _measure_contour(
-        self,
-        reference: Reference,
-        patch: Patch,
-        axis: RotationEstimate,
-        near_deg: float,
-        center_shift_px: tuple[float, float],
-        from_axis: bool,
-    ) -> _ContourMeasurement:
-        """Register the contour from `near_deg`, and also from where the axis points if `from_axis`."""
-        fit = self._register(reference, patch, axis.rotation_deg if from_axis else None, near_deg, center_shift_px)
-        rotation, shift_px = RotationEstimate(None, None, fit.declined), center_shift_px
-        if fit.contact_changed and axis.rotation_deg is not None and axis.sigma_deg is not None:
-            axis = RotationEstimate(axis.rotation_deg, math.hypot(axis.sigma_deg, MISFIT_SIGMAS * fit.misfit_deg))
-        if fit.declined is None:
-            self._pose = fit.pose
-            rotation = RotationEstimate(fit.pose.rotation_deg, fit.sigma_deg)
-            shift_px = (fit.pose.dx_px * self._frame_px, fit.pose.dy_px * self._frame_px)
-        if reference.texture is not None and reference.texture.ambiguous and axis.rotation_deg is None:
-            rotation = RotationEstimate(None, None, DeclineReason.PERIOD_AMBIGUOUS)  # a nut's contour repeats too
-        return _ContourMeasurement(rotation, axis, shift_px)
-
-    def _register(
-        self,
-        reference: Reference,
-        patch: Patch,
-        axis_deg: float | None,
-        near_deg: float,
-        center_shift_px: tuple[float, float],
-    ) -> ContourFit:
-        if self._template is None:  # made on first use: many grasps never need the contour
-            self._template = make_contour_template(reference.patch)
-        registrar = ContourRegistrar(self._template, patch)
-        best = registrar.fit(replace(self._pose, rotation_deg=near_deg))
-        if axis_deg is None or abs(axis_deg - best.pose.rotation_deg) < SECOND_START_DEG:
-            return best
-        dx, dy = center_shift_px
-        other = registrar.fit(ContourPose(axis_deg, dx / self._frame_px, dy / self._frame_px))
-        better = other.declined is None and (best.declined is not None or other.residual < best.residual)
-        return other if better else best
+        if self._reader is None or reference.texture is None or not self._registers:
+            return None
+        return reference.texture_map if image is reference.image else self._reader.read(image, patch)

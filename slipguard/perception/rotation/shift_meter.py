@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -68,16 +69,13 @@ class ShiftMeter:
         self._template = template
         self._patch = patch
         self._center_px = patch.center_px
-        self._period: tuple[tuple[float, float] | None] | None = None
         self._recent: deque[tuple[float, float, float]] = deque()
         self._beyond_px = (0.0, 0.0)
 
-    @property
+    @cached_property
     def period(self) -> tuple[float, float] | None:
-        """The shift (right, down) after which the texture repeats, texture pixels; computed on first use."""
-        if self._period is None:
-            self._period = (None if self._template is None else shift_period(self._template),)
-        return self._period[0]
+        """The shift (right, down) after which the texture repeats, texture pixels; None if it does not."""
+        return None if self._template is None else shift_period(self._template)
 
     def measure(
         self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]

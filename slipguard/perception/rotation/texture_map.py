@@ -114,24 +114,31 @@ class TextureMapReader:
     def _steepness(self, image: NDArray[np.uint8], window: ImageWindow, patch: Patch) -> NDArray[np.float64]:
         """Return products of the three colors' change to the right and upwards, summed over the patch: (6, 6)."""
         smooth = _filtered(self._colors_in(image, window), _BLUR, _BLUR)
-        inside = _mask_in(patch, window)
-        right, down = (cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=0.125)[inside] for axis in ((1, 0), (0, 1)))
+        every_second = np.s_[::2, ::2]  # the blurred image has no finer detail
+        inside = _mask_in(patch, window)[every_second]
+        right, down = (
+            cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=0.125)[every_second][inside] for axis in ((1, 0), (0, 1))
+        )
         change = np.concatenate([right, -down], axis=1)
         return np.asarray(change.T @ change, np.float64)
 
     def read(self, image: NDArray[np.uint8], patch: Patch) -> TextureMap:
         """Return the texture map in and around a patch. image: (320, 240, 3) uint8 BGR."""
         window = ImageWindow.around(patch)
-        right, up = self._mixed(self._colors_in(image, window))
+        return self._curvature(window, *self._slopes(image, window))
+
+    def read_with_slopes(self, image: NDArray[np.uint8], patch: Patch) -> tuple[TextureMap, tuple[Field, Field]]:
+        """Return also the gel's slopes to the right and upwards in the map's window: (h, w) float32, gray levels."""
+        window = ImageWindow.around(patch)
+        right, up = self._slopes(image, window)
+        return self._curvature(window, right, up), (_filtered(right, _BLUR, _BLUR), _filtered(up, _BLUR, _BLUR))
+
+    def _curvature(self, window: ImageWindow, right: Field, up: Field) -> TextureMap:
         return TextureMap(window, _filtered(right, _SLOPE, _LEVEL) - _filtered(up, _LEVEL, _SLOPE), self._noise)
 
-    def slopes(self, image: NDArray[np.uint8], patch: Patch) -> tuple[Field, Field]:
-        """Return the gel's slopes to the right and upwards in and around a patch: (h, w) float32 each, gray levels."""
-        right, up = self._mixed(self._colors_in(image, ImageWindow.around(patch)))
-        return _filtered(right, _BLUR, _BLUR), _filtered(up, _BLUR, _BLUR)
-
-    def _mixed(self, colors: Field) -> Field:
+    def _slopes(self, image: NDArray[np.uint8], window: ImageWindow) -> Field:
         """Return slopes to the right and upwards, (2, h, w), without blur."""
+        colors = self._colors_in(image, window)
         return (self._colors @ colors.reshape(-1, 3).T).reshape(2, *colors.shape[:2])
 
     def _colors_in(self, image: NDArray[np.uint8], window: ImageWindow) -> Field:

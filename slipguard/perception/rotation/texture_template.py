@@ -34,6 +34,8 @@ MOTIONS = 5
 PERIOD_MAX_DEG = 124.0
 """A triangle repeats at 120 degrees. A texture with a period of 180 is taken as unrotated, as axes are."""
 PERIOD_STEP_DEG = 2.0
+PERIOD_POINTS = 600
+"""A period is searched with about this many points of the texture."""
 PERIODIC_SHARE = 0.33
 """A texture is periodic if its mean square difference from itself falls below this share of the highest. Teeth and
 regular polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square's edge, at 90 degrees) and more."""
@@ -48,8 +50,8 @@ class TextureTemplate:
     strains, two bends. local: (4, N), weights of a fit's residual that sum up to the rotation (radians) of what is near
     the grasp axis, and near the contact's center; and to the growth of strength to the right, and downwards (share per
     r.m.s. distance). local_size: (4,), their norms.
-    block: (N,) which neighborhood each point belongs to. smooth: the direction (right, down; of length 1) along which
-    only noise changes, so that a shift is invisible; None if there is none.
+    block: (N,) number of the neighborhood that each point belongs to. smooth: the direction (right, down; of length 1)
+    along which only noise changes, so that a shift is invisible; None if there is none.
     noise: the camera's share of the values, r.m.s. image, origin_px: the source of the points, and the center in it.
     mask: where in the image the texture counts, uint8, 0 or 1.
     round_reason: None, or why the contact counts as round.
@@ -120,7 +122,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         np.concatenate([motion, _deformations(motion, dx, dy)]),
         local,
         np.sqrt(np.einsum("ij,ij->i", local, local).astype(np.float64)),
-        np.unique(block, return_inverse=True)[1],
+        block - block.min(),
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
         (center_x + window.left_px, center_y + window.top_px),
         texture_map.noise,
@@ -136,14 +138,16 @@ def period_deg(template: TextureTemplate) -> float | None:
 
     That is where it differs least from itself after it has differed more, up to `PERIOD_MAX_DEG`.
     """
-    dx, dy, (center_x, center_y) = template.x_px, template.y_px, template.origin_px
+    some = slice(None, None, max(template.value.size // PERIOD_POINTS, 1))
+    dx, dy, value = template.x_px[some], template.y_px[some], template.value[some]
+    center_x, center_y = template.origin_px
     highest = 0.0
     found: tuple[float, float] | None = None
     rotations_deg = np.arange(PERIOD_STEP_DEG, PERIOD_MAX_DEG + 0.1, PERIOD_STEP_DEG)
     c = np.cos(np.radians(rotations_deg)).astype(np.float32)[:, None]
     s = np.sin(np.radians(rotations_deg)).astype(np.float32)[:, None]
     x, y = c * dx + s * dy + np.float32(center_x), c * dy - s * dx + np.float32(center_y)
-    away = cv2.remap(template.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) - template.value
+    away = cv2.remap(template.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) - value
     for rotation_deg, square in zip(rotations_deg, np.einsum("ij,ij->i", away, away).tolist(), strict=True):
         if found is not None and square >= found[0]:
             break

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
@@ -105,7 +106,6 @@ class TextureTracker:
 
     def __init__(self, template: TextureTemplate, rotated_unseen: bool = False) -> None:
         self._first = template
-        self._period: tuple[float | None] | None = None
         self._pose = TexturePose()
         self._uneven_pose: TexturePose | None = None
         self._key: _Key | None = None
@@ -125,12 +125,10 @@ class TextureTracker:
         """Whether the texture shows a shift only."""
         return self._first.round_reason is not None
 
-    @property
+    @cached_property
     def period_deg(self) -> float | None:
-        """The rotation after which the texture repeats, None if it does not; computed on first use."""
-        if self._period is None:
-            self._period = (period_deg(self._first),)
-        return self._period[0]
+        """The rotation after which the texture repeats, None if it does not."""
+        return period_deg(self._first)
 
     def note_gap(self, gap_s: float, rate_deg_s: float, unexpected_deg: float) -> None:
         """Note the time since the rotation was last known, its rate then, and how much the last one was unexpected."""

@@ -127,7 +127,7 @@ def test_other_objects_have_a_shift(name: str) -> None:
 )
 def test_a_periodic_texture_slides_when_it_has_changed_beyond_recognition(declined: str | None, slides: bool) -> None:
     meter, patch = ShiftMeter(None, bar_patch(40, 100)), bar_patch(40, 100)
-    meter._period = ((0.0, 8.0),)
+    meter.period = (0.0, 8.0)
     rest = TrackedTexture(RotationEstimate(0.0, 0.5), 1.0, (0.0, 0.0))
     assert not meter.measure(1.0, patch, rest, (0.0, 0.0)).slides
     gone = None if declined is None else TrackedTexture(RotationEstimate(None, None, declined), 1.0)

@@ -14,7 +14,7 @@ from rich.console import Console
 from slipguard.devices import Frame
 from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation import rotation_meter
+from slipguard.perception.rotation import contour_meter
 from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
 from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.perception.rotation.rotation_tracker import RotationTracker
@@ -107,7 +107,7 @@ def test_a_registration_that_keeps_its_error_is_detected(monkeypatch: pytest.Mon
             return replace(found, pose=replace(found.pose, rotation_deg=drawn))
 
     assert run_trials("drift", 2).results[0].largest[DRIFT] < 0.05
-    monkeypatch.setattr(rotation_meter, "ContourRegistrar", Dragged)
+    monkeypatch.setattr(contour_meter, "ContourRegistrar", Dragged)
     assert run_trials("drift", 2).results[0].counts["limit"] > 0
 
 
