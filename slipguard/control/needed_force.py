@@ -54,7 +54,7 @@ HELD_SHARE, HELD_SPREAD = 0.33, 0.7
 """A grip uses this share of its torque, and the spread of that (standard deviation of the logarithm)."""
 STIFFNESS_SPREAD_LEAST = 0.3
 """However many grasps it was learned from: gels wear, and grips differ in how much of their torque they use."""
-BORNE_MAX_DEG, BORNE_MAX_MM = 15.0, 3.0
+ELASTIC_MAX_DEG, ELASTIC_MAX_MM = 15.0, 3.0
 """No gel is trusted to move further without slip,"""
 UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM = 2.0, 0.4
 """... and none that no grasp has shown yet to move further than this."""
@@ -161,12 +161,12 @@ def onset(force_n: float, friction: float, stiffness_n_m_rad: float) -> ElasticM
     return ElasticMotion(deg, 1e3 * friction * force_n * radius_m**2 / gel_n_m_rad)
 
 
-def borne(force_n: float, friction: LogNormal, stiffness: LogNormal) -> ElasticMotion:
+def elastic_limit(force_n: float, friction: LogNormal, stiffness: LogNormal) -> ElasticMotion:
     """Return the likeliest elastic motion at which this grip begins to slip: near 0 while the stiffness is unknown."""
     median = onset(force_n, friction.median, stiffness.median)
     mode = math.exp(-(friction.spread**2) - stiffness.spread**2)
     known = stiffness.spread < STIFFNESS_PRIOR.spread
-    most_deg, most_mm = (BORNE_MAX_DEG, BORNE_MAX_MM) if known else (UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM)
+    most_deg, most_mm = (ELASTIC_MAX_DEG, ELASTIC_MAX_MM) if known else (UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM)
     return ElasticMotion(min(mode * median.deg, most_deg), min(mode * median.mm, most_mm))
 
 

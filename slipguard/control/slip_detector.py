@@ -35,13 +35,13 @@ PLAIN_SLIDE_TIMES = 2.0
 """A fast slide that both fingers see beyond this multiple of its threshold needs no second frame: an object in free
 fall is lost after 50 ms. It does not matter how often the grip was tightened before."""
 STIFF_SHARE = 0.5
-"""A slide counts from this share of `slip_mm` on where the gel bears less than that: a stiff one does not swing."""
+"""A slide counts from this share of `slip_mm` on where the gel slips earlier than that: a stiff one does not swing."""
 BEGUN_SHARE = 0.25
 APART_S = 0.02
 """At rest there is time to confirm: both fingers' frames are this much later than the first one's, or one flash of
 light that falls on a frame of each counts twice."""
 AGAIN_SHARE = 0.35
-"""After a slip the gel bears all it can, and a step lets it bear this share more: 1 - 1 / `search` of needed_force.py.
+"""After a slip the gel is at its elastic limit, and a step raises that by this share: 1 - 1 / `search` in needed_force.
 Once the object hangs, the load has arrived, and what still moves it is mostly the arm: then all counts again."""
 AHEAD_S = 0.1
 """While an object leaves the table, what a rate above `slip_rate_deg_s` adds in this time counts, too: a short lever
@@ -62,7 +62,7 @@ class SlipAssessment:
         rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
         slip_mm, slip_rate_mm_s: distance from that baseline, in any direction, and the rate away from it. direction: in
             words, empty if unknown. slides: by an unknown distance.
-        moving: one of the rates is that of slip. elastic: the gel bears all of the motion without slip.
+        moving: one of the rates is that of slip. elastic: all of the motion is within the elastic limit.
         rotates, translates: this frame shows rotational or translational slip.
         slipping: slip is confirmed by enough frames.
         settled_s: the object has been at rest for this time.
@@ -99,7 +99,7 @@ def assess_slip(
     params: GuardParams,
     *,
     arm: ArmState | None = None,
-    borne: ElasticMotion = NO_MOTION,
+    elastic_limit: ElasticMotion = NO_MOTION,
     again_deg: float = TORSION_ON_TABLE_DEG,
     only_outward: bool = False,
 ) -> SlipAssessment:
@@ -110,8 +110,8 @@ def assess_slip(
         fused: the newest estimate; the same one may come several times.
         params: thresholds.
         arm: its newest state; without it every rotation is judged as in motion.
-        borne: elastic motion that the grip bears without slip. again_deg: further rotation that is slip in a lift-off
-            that has seen slip already.
+        elastic_limit: motion that the grip takes up elastically, without slip.
+        again_deg: further rotation that is slip in a lift-off that has seen slip already.
         only_outward: a rotation back towards the reference is no slip, as when an object is put down.
     """
     is_new = fused.measured_at_s > memory.measured_s  # of both fingers: what one frame shows counts once
@@ -123,14 +123,14 @@ def assess_slip(
     )
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
     quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, only_outward)
-    elastic = _is_elastic(memory, fused, borne)
+    elastic = _is_elastic(memory, fused, elastic_limit)
     if elastic:
         rotates, rests_further_out, quick_frames = False, False, 0
     quick_rotation = quick_frames > 0
     slip_mm, rate_mm_s, direction = _slide(memory, fused, arm, only_outward)
     tuning = params.tuning
     fast = rate_mm_s >= tuning.slip_rate_mm_s
-    least_mm = min(max(STIFF_SHARE * tuning.slip_mm, borne.mm), tuning.slip_mm)
+    least_mm = min(max(STIFF_SHARE * tuning.slip_mm, elastic_limit.mm), tuning.slip_mm)
     translates = slip_mm > least_mm and (fast or slip_mm > tuning.creep_mm)
     translates = translates and not elastic
     both = len(fused.shift_fingers) == 2 and fused.shift_conflict is None
@@ -295,17 +295,17 @@ def _rotation(
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
 
 
-def _is_elastic(memory: SlipMemory, fused: FusedEstimate, borne: ElasticMotion) -> bool:
-    """Return whether the gel bears this rotation and shift without slip: inside of the limit surface (an ellipse)."""
+def _is_elastic(memory: SlipMemory, fused: FusedEstimate, elastic_limit: ElasticMotion) -> bool:
+    """Return whether rotation and shift are within the elastic limit: inside of an ellipse, the limit surface."""
     baselines, rotation_deg, shift_mm = memory.baselines, fused.rotation_deg, fused.shift_mm
-    if borne.deg <= 0.0:
+    if elastic_limit.deg <= 0.0:
         return False
     share = 0.0
     if rotation_deg is not None and baselines.unloaded_deg is not None:
-        share = (rotation_deg - baselines.unloaded_deg) / borne.deg
+        share = (rotation_deg - baselines.unloaded_deg) / elastic_limit.deg
     if shift_mm is not None and baselines.unloaded_mm is not None:
         moved_mm = math.dist(baselines.unloaded_mm, (shift_mm, fused.sideways_mm or 0.0))
-        share = math.hypot(share, moved_mm / borne.mm)
+        share = math.hypot(share, moved_mm / elastic_limit.mm)
     arrives = memory.had_slip and memory.arm.case is ArmCase.LIFT_OFF and not memory.arm.hangs
     return abs(share) <= (AGAIN_SHARE if arrives else 1.0)
 

@@ -24,7 +24,7 @@ from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, SlipEpisode, gripper_at_rest
 
 AGAIN_DEG = 2.5
-"""While an object leaves the table, the grip is raised again after this further rotation, or after what the gel bears.
+"""While an object leaves the table, the grip is raised again after this further rotation, or beyond the elastic limit.
 """
 SLOWING = 0.8
 """A rate below this share of that at the last step shows that the step works."""
@@ -74,7 +74,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     held = state.held
     if observation.fused is None or not state.guarding:
         return SlipResponse(state, stop_arm=held.slip is not None)
-    borne = needed_force.borne(state.grip.target_n, _friction(state, params), state.gel)
+    elastic_limit = needed_force.elastic_limit(state.grip.target_n, _friction(state, params), state.gel)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     at_limit = force_range is None or state.grip.target_n >= force_range.high_n
     seen = assess_slip(
@@ -82,8 +82,8 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
         observation.fused,
         params,
         arm=observation.arm,
-        borne=borne,
-        again_deg=TORSION_ON_TABLE_DEG if at_limit else max(AGAIN_DEG, AGAIN_SHARE * borne.deg),
+        elastic_limit=elastic_limit,
+        again_deg=TORSION_ON_TABLE_DEG if at_limit else max(AGAIN_DEG, AGAIN_SHARE * elastic_limit.deg),
         only_outward=state.phase is Phase.LOWERING or state.arm.putting_down,
     )
     slip = held.slip

@@ -66,21 +66,21 @@ def test_a_gel_bears_what_the_limit_surface_and_its_stiffness_say() -> None:
     gel, radius_m = LogNormal(0.2, 0.0), Pad().contact_radius_m(40.0)
     shear_modulus_pa = 0.2 / (16.0 / 3.0 * need.STIFFNESS_RADIUS_M**3)
     torque_n_m = torque_limit_n_m(40.0, 0.6, Pad())
-    borne = need.borne(40.0, LogNormal(0.6, 0.0), gel)
-    assert borne.deg == pytest.approx(math.degrees(torque_n_m / (16.0 / 3.0 * shear_modulus_pa * radius_m**3)))
-    assert borne.mm == pytest.approx(1e3 * 0.6 * 40.0 / (16.0 / 3.0 * shear_modulus_pa * radius_m))
-    assert need.borne(0.0, FRICTION_PRIOR, gel) == need.ElasticMotion()
-    assert need.borne(200.0, FRICTION_PRIOR, LogNormal(0.01, 0.0)) == need.ElasticMotion(
-        need.BORNE_MAX_DEG, need.BORNE_MAX_MM
+    elastic_limit = need.elastic_limit(40.0, LogNormal(0.6, 0.0), gel)
+    assert elastic_limit.deg == pytest.approx(math.degrees(torque_n_m / (16.0 / 3.0 * shear_modulus_pa * radius_m**3)))
+    assert elastic_limit.mm == pytest.approx(1e3 * 0.6 * 40.0 / (16.0 / 3.0 * shear_modulus_pa * radius_m))
+    assert need.elastic_limit(0.0, FRICTION_PRIOR, gel) == need.ElasticMotion()
+    assert need.elastic_limit(200.0, FRICTION_PRIOR, LogNormal(0.01, 0.0)) == need.ElasticMotion(
+        need.ELASTIC_MAX_DEG, need.ELASTIC_MAX_MM
     )
 
 
 def test_the_less_is_known_of_the_gel_the_less_motion_is_excused() -> None:
     spreads = (0.0, 0.3, 0.6, 0.79, 0.8)
-    borne_deg = [need.borne(40.0, FRICTION_PRIOR, LogNormal(0.2, spread)).deg for spread in spreads]
-    assert borne_deg == sorted(borne_deg, reverse=True)
-    assert borne_deg[-2] < 0.55 * borne_deg[0]
-    unknown = need.borne(40.0, FRICTION_PRIOR, STIFFNESS_PRIOR)
+    elastic_deg = [need.elastic_limit(40.0, FRICTION_PRIOR, LogNormal(0.2, spread)).deg for spread in spreads]
+    assert elastic_deg == sorted(elastic_deg, reverse=True)
+    assert elastic_deg[-2] < 0.55 * elastic_deg[0]
+    unknown = need.elastic_limit(40.0, FRICTION_PRIOR, STIFFNESS_PRIOR)
     assert (unknown.deg, unknown.mm) == (need.UNKNOWN_MAX_DEG, need.UNKNOWN_MAX_MM)
 
 

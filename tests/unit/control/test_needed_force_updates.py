@@ -31,9 +31,9 @@ def test_a_lift_moves_the_stiffness_by_its_share_and_less_if_the_two_torsions_di
 
 def test_the_likeliest_torsion_is_below_the_median_by_both_variances() -> None:
     onset = need.onset(FORCE_N, 0.5, 0.2)
-    found = need.borne(FORCE_N, FRICTION, STIFFNESS)
+    found = need.elastic_limit(FORCE_N, FRICTION, STIFFNESS)
     assert found.deg == pytest.approx(math.exp(-0.09 - 0.36) * onset.deg)
-    assert found.deg < need.BORNE_MAX_DEG
+    assert found.deg < need.ELASTIC_MAX_DEG
 
 
 @pytest.mark.parametrize(("rotation_deg", "rate_deg_s"), [(0.5, 30.0), (0.5, 0.5)])

@@ -273,7 +273,7 @@ def test_by_default_no_torsion_is_borne_and_rotation_back_is_slip() -> None:
     lifting = at_rest(0.0, start_mm=0.0, resting_deg=0.0, followed_s=10.0, case=ArmCase.LIFT_OFF, aloft=False)
     rising = arm(10.0, moving=True, at_s=NOW_S)
     assert assess_slip(lifting, observation(0.8), PARAMS, arm=rising).rotates
-    assert not assess_slip(lifting, observation(0.8), PARAMS, arm=rising, borne=ElasticMotion(1.0, 9.0)).rotates
+    assert not assess_slip(lifting, observation(0.8), PARAMS, arm=rising, elastic_limit=ElasticMotion(1.0, 9.0)).rotates
     assert assess_slip(at_rest(5.0), observation(4.0), PARAMS, arm=stands()).rotates
     assert not assess_slip(at_rest(5.0), observation(4.0), PARAMS, arm=stands(), only_outward=True).rotates
 

@@ -23,7 +23,7 @@ class Watched:
     def __init__(self, had_rotation: bool = False, params: GuardParams = PARAMS) -> None:
         self.memory, self.params = slip_memory(had_rotation=had_rotation), params
         self.left_alone = False
-        self.borne = NO_MOTION
+        self.elastic_limit = NO_MOTION
         self.now_s, self.here = 10.0, arm()
         self.rate_deg_s, self.shift_mm = 0.0, 0.0
         self.putting_down = False
@@ -40,7 +40,9 @@ class Watched:
         )  # fmt: skip
         view = changed(view, shift_conflict=self.shift_conflict)
         here = changed(self.here, measured_at_s=self.now_s)
-        sight = assess_slip(self.memory, view, self.params, arm=here, borne=self.borne, only_outward=self.putting_down)
+        sight = assess_slip(
+            self.memory, view, self.params, arm=here, elastic_limit=self.elastic_limit, only_outward=self.putting_down
+        )
         self.memory = sight.memory
         return sight
 
@@ -166,9 +168,9 @@ def test_an_object_twisted_by_the_lift_counts_from_where_it_came_to_rest() -> No
 
 
 def test_no_grip_is_given_that_time_before_it_has_been_tightened_once() -> None:
-    for borne_deg, least_deg in ((0.0, 0.4), (1.0, 1.0)):
+    for elastic_deg, least_deg in ((0.0, 0.4), (1.0, 1.0)):
         watched = Watched().rest().lifts(10.0)
-        watched.borne = ElasticMotion(borne_deg, borne_deg)
+        watched.elastic_limit = ElasticMotion(elastic_deg, elastic_deg)
         assert not any(watched.see(least_deg - 0.05).slipping for _ in range(3))
         watched.see(least_deg + 0.05)
         assert watched.see(least_deg + 0.05).slipping
@@ -191,7 +193,7 @@ def test_what_a_grip_bears_is_no_slip_and_after_a_slip_in_the_lift_it_bears_less
 ) -> None:
     """Inside of an ellipse of rotation and shift."""
     watched = Watched()
-    watched.borne = ElasticMotion(1.0, 1.0)
+    watched.elastic_limit = ElasticMotion(1.0, 1.0)
     watched.memory = changed(watched.memory, had_slip=had_slip)
     watched.rest()
     if lifts:
@@ -464,7 +466,7 @@ def test_slow_slip_is_not_hidden_by_it_where_the_rate_is_unknown() -> None:
 
 def test_a_returning_finger_without_shift_causes_no_slip() -> None:
     watched = Watched()
-    watched.borne = ElasticMotion(UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM)
+    watched.elastic_limit = ElasticMotion(UNKNOWN_MAX_DEG, UNKNOWN_MAX_MM)
     watched.rest()
     watched.left_alone, watched.shift_mm = True, None  # type: ignore[assignment]
     assert not any(watched.see(0.3).slipping for _ in range(5))
@@ -533,7 +535,7 @@ def test_contradicting_shifts_do_not_switch_the_rotation_checks_off() -> None:
 
 
 @pytest.mark.parametrize(
-    ("borne_mm", "fingers", "slid_mm", "slips"),
+    ("elastic_mm", "fingers", "slid_mm", "slips"),
     [
         (0.0, 2, 0.6, True),
         (0.0, 2, 0.4, False),
@@ -546,7 +548,7 @@ def test_contradicting_shifts_do_not_switch_the_rotation_checks_off() -> None:
     ],
 )
 def test_a_plain_slide_that_both_fingers_see_needs_one_frame(
-    borne_mm: float, fingers: int, slid_mm: float, slips: bool
+    elastic_mm: float, fingers: int, slid_mm: float, slips: bool
 ) -> None:
     """It counts from 0.5 mm on, or from 0.25 mm in a stiff gel, and is plain beyond twice that."""
     memory = SlipMemory()
@@ -556,8 +558,8 @@ def test_a_plain_slide_that_both_fingers_see_needs_one_frame(
             fused(0.0, at_s=10.0 + FRAME_S * number, shift_mm=slid_mm if number == 30 else 0.0, sigma_deg=0.1),
             sideways_mm=0.0, shift_fingers=names,
         )  # fmt: skip
-        borne = ElasticMotion(0.1, borne_mm) if borne_mm else NO_MOTION
-        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s), borne=borne)
+        elastic_limit = ElasticMotion(0.1, elastic_mm) if elastic_mm else NO_MOTION
+        seen = assess_slip(memory, view, PARAMS, arm=arm(200.0, at_s=view.captured_at_s), elastic_limit=elastic_limit)
         memory = seen.memory
     assert (seen.slipping, seen.translates, seen.rotates) == (slips, True, False)
 
