@@ -99,7 +99,7 @@ def supervise(
     memory = _follow_tightening(memory, state, observation)
     memory = _follow_arm(memory, state, observation)
     checks = (
-        _arm_stop(observation),
+        _arm_stop(state, observation),
         _late(late_s, params),
         *devices,
         _arm(memory, state, observation, params),
@@ -154,13 +154,14 @@ def _starts(memory: Supervision, known: bool, now_s: float, timeout_s: float) ->
     return not known and now_s - memory.began_s < max(timeout_s, DEVICE_START_S)
 
 
-def _arm_stop(observation: Observation) -> Fault | None:
-    arm = observation.arm
+def _arm_stop(state: GraspState, observation: Observation) -> Fault | None:
+    arm, ground_mm = observation.arm, state.arm.ground_mm
     if arm is None or not (arm.emergency_stop or arm.protective_stop):
         return None
+    where = "" if ground_mm is None else f" {arm.height_mm - ground_mm:.0f} mm above the start of the lift"
     return Fault(
         FaultCode.ARM_EMERGENCY if arm.emergency_stop else FaultCode.ARM_STOPPED,
-        f"the arm stopped itself at {arm.height_mm:.0f} mm",
+        f"the arm stopped itself{where}",
         "find the cause, end the stop at the robot's panel, then clear; until then no force is added",
     )
 

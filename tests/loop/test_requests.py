@@ -60,7 +60,7 @@ def test_a_refusal_of_the_gripper_is_reported() -> None:
         cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
         await cell.submit(MoveJawsRequest(width_mm=50.0, force_n=20.0))
         await asyncio.sleep(0.1)
-        assert cell.service.event_log.lines[-1] == "gripper: gripper: width_mm is 99; it must be 0 to 85"
+        assert cell.service.event_log.lines[-1] == "gripper: width_mm is 99; it must be 0 to 85"
 
     play(Cell(), scene)
 
@@ -86,13 +86,13 @@ def test_two_requests_at_once_are_answered_in_order() -> None:
 def test_a_request_that_times_out_is_refused_and_not_carried_out_later() -> None:
     async def scene(cell: Cell) -> None:
         await cell.ready()
-        rotation = cell.service._run_cycle
+        run_cycle = cell.service._run_cycle
         cell.service._run_cycle = lambda now_s: None  # type: ignore[method-assign]
         asked_s = cell.now_s
         with pytest.raises(CommandRefused, match="grasp: the loop did not respond within 2 s"):
             await cell.service.request(ControlRequest(RequestKind.GRASP))
         assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
-        cell.service._run_cycle = rotation  # type: ignore[method-assign]
+        cell.service._run_cycle = run_cycle  # type: ignore[method-assign]
         await asyncio.sleep(0.5)
         assert cell.phase is Phase.IDLE
         assert cell.gripper.commands == []

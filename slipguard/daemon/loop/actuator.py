@@ -172,7 +172,7 @@ class Actuator(Generic[S]):
                     self._backoff.reset()
                     next_poll_s = loop.time() + self._poll_s
             except CommandRefused as error:
-                self._on_refusal(f"{self.name}: {error}")
+                self._on_refusal(f"{self.name}: {str(error).removeprefix(f'{self.name}: ')}")
             except DeviceLost:
                 raise
             except DeviceError as error:

@@ -224,3 +224,15 @@ def test_an_arm_received_while_nothing_was_held_is_known() -> None:
     memory, _ = supervise(memory, HOLDING, observation(0.2, arm=None), PARAMS)
     _, (fault,) = supervise(memory, HOLDING, observation(0.61, arm=None), PARAMS)
     assert fault.code is FaultCode.ARM_SILENT
+
+
+@pytest.mark.parametrize(
+    ("ground_mm", "expected"),
+    [(-110.0, "the arm stopped itself 110 mm above the start of the lift"), (None, "the arm stopped itself")],
+)
+def test_a_stop_of_the_arm_names_the_height_only_above_a_known_start(ground_mm: float | None, expected: str) -> None:
+    """The arm's own height counts from its last connection."""
+    state = grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, ground_mm=ground_mm)
+    _, fault = first_fault(state, lambda t: observation(t, arm=arm(at_s=t, protective=True)))
+    assert fault is not None
+    assert fault.observed == expected

@@ -97,10 +97,10 @@ def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
     configure()
     event_log = EventLog()
     event_log.listeners.append(lambda event: delivered.append(event.line))
-    for rotation in range(250):
-        now_s = rotation * 0.01
-        event_log.warning(f"left: its newest frame is {rotation}.5 ms old")
-        if rotation == 100:
+    for cycle in range(250):
+        now_s = cycle * 0.01
+        event_log.warning(f"left: its newest frame is {cycle}.5 ms old")
+        if cycle == 100:
             event_log.info("something else")
     assert flush(30.0)
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
