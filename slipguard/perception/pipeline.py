@@ -31,7 +31,7 @@ from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
 
 SEGMENT_S = 0.2
 """The network runs again after this time at the latest: on every twelfth frame at 60 Hz."""
-STILL_SEGMENT_S = 1.0
+STILL_SEGMENT_S = 2.0
 """The same, if the image has not changed since the network last ran."""
 
 
@@ -119,6 +119,7 @@ class Pipeline:
         self._patch: Patch | None = None
         self._measured: Estimate | None = None
         self._whole: _WholeContact | None = None
+        self._before_change: tuple[float, Estimate | None, _WholeContact | None] = (math.inf, None, None)
         self.reset_reference()
 
     def reset_reference(self) -> None:
@@ -172,8 +173,9 @@ class Pipeline:
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
 
         unchanged = self._changes is not None and self._changes.unchanged(blocks)
-        if self._changes is not None and self._changes.restored:
-            self._measured = self._whole = None
+        if self._changes is not None and self._changes.restored:  # what was measured since then is not valid
+            since_s, *found = self._before_change
+            self._measured, self._whole = found if since_s == self._changes.since_s else (None, None)
         repeated = self._repeat(frame, timer) if unchanged else None
         if repeated is not None:
             self._torn.note_good(image, now_s)
@@ -228,11 +230,11 @@ class Pipeline:
         orientation_deg = None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg)
         estimate = self._estimate(frame, patch, rotation, measurement.shift, orientation_deg, timer)
         timer.mark("track")
-        self._note_measured(blocks, near, unchanged, estimate)
         measured = estimate.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
         if measured and measurement.shift is not None:
             away = (~blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))).astype(np.float32)
             self._whole = _WholeContact(blocks, near, away, estimate, quality.difference_levels)
+        self._note_measured(blocks, near, unchanged, estimate)
         return estimate
 
     def _measure_texture(
@@ -374,6 +376,8 @@ class Pipeline:
         self._measured = estimate
         if self._changes is not None:
             self._changes.add(blocks, near, estimate.captured_at_s, unchanged)
+            if unchanged:
+                self._before_change = self._changes.since_s, estimate, self._whole
 
     def _forget_measured(self) -> None:
         self._measured = self._whole = None

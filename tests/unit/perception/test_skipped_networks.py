@@ -57,11 +57,21 @@ def measured(
     return segmenter.calls - first, found
 
 
-def test_at_rest_the_network_runs_once_a_second() -> None:
+def test_at_rest_the_network_runs_every_two_seconds() -> None:
     calls, found = measured("wrench", 130, lambda _: 0.0)
-    assert calls <= 4
+    assert calls <= 3
     assert all(estimate.rotation_deg == pytest.approx(0.0, abs=0.2) for estimate, _ in found)
     assert sum(estimate.skipped is None for estimate, _ in found) < 60
+
+
+def test_after_a_glitch_of_one_image_the_estimate_from_before_it_is_valid_again() -> None:
+    calls, found = measured("wrench", 100, lambda at_s: 3.0 if at_s == 90 / FPS else 0.0)
+    assert calls <= 4
+    before, glitch, after = (found[k][0] for k in (89, 90, 91))
+    assert glitch.rotation_deg == pytest.approx(3.0, abs=0.3)
+    assert after.rotation_deg == pytest.approx(0.0, abs=0.2)
+    assert before.skipped is not None
+    assert after.segmented is False or after.skipped is not None
 
 
 def test_a_texture_that_is_uncertain_carries_the_rotation_on() -> None:
