@@ -174,8 +174,8 @@ class Pipeline:
 
         unchanged = self._changes is not None and self._changes.unchanged(blocks)
         if self._changes is not None and self._changes.restored:  # what was measured since then is not valid
-            since_s, *found = self._before_change
-            self._measured, self._whole = found if since_s == self._changes.since_s else (None, None)
+            since_s, measured, whole = self._before_change
+            self._measured, self._whole = (measured, whole) if since_s == self._changes.since_s else (None, None)
         repeated = self._repeat(frame, timer) if unchanged else None
         if repeated is not None:
             self._torn.note_good(image, now_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation import contour_meter, shift_meter, texture_tracker
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.gel_camera import GelCamera
@@ -72,6 +74,30 @@ def test_after_a_glitch_of_one_image_the_estimate_from_before_it_is_valid_again(
     assert after.rotation_deg == pytest.approx(0.0, abs=0.2)
     assert before.skipped is not None
     assert after.segmented is False or after.skipped is not None
+
+
+def test_what_later_frames_may_need_is_computed_after_the_frame_of_the_reference(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    computed: list[str] = []
+
+    def count(module: ModuleType, name: str) -> None:
+        original = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda *given: (computed.append(name), original(*given))[1])
+
+    count(contour_meter, "make_contour_template")
+    count(shift_meter, "shift_period")
+    count(texture_tracker, "period_deg")
+    unit = random_unit(np.random.default_rng(3))
+    camera = GelCamera(unit, seed=3)
+    pipeline = Pipeline(Segmenter(), PerceptionSettings(), camera.no_contact(), unit.noise_bgr, unit.px_per_mm)
+    view = GelView("wrench", 0.5, 0.5, 30.0, 0.5 * find_object("wrench").press_mm)
+    for k in range(24):
+        had_reference = pipeline.has_reference
+        pipeline.process(Frame(camera.draw(view), k / FPS, k))
+        if not had_reference:
+            assert not computed
+    assert sorted(computed) == ["make_contour_template", "period_deg", "shift_period"]
 
 
 def test_a_texture_that_is_uncertain_carries_the_rotation_on() -> None:
