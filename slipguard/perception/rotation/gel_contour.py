@@ -49,6 +49,8 @@ ROLLED_DEG, ROLLED_FREE_PX, ROLLED_MAX_DEG = 0.16, 1.0, 5.0
 have rolled, and then the imprint of a body bent with a radius of 20 mm rotates by 0.16 degrees per pixel, a banana's by
 0.35. A smooth contact that has moved by 2.1 mm is therefore declined, also if it has only slid. Chosen on rocking
 training objects. For a contact with edges that has moved and shrunk, at most the third number."""
+ROLLED_UNSEEN_PX = 0.6
+"""A smooth contact may always have rolled by this: a part of the free amount. That is 0.1 degrees."""
 SHRUNK = 1.5
 """Any contact that has moved and shrunk by this factor touches with another part of the object."""
 DOME_SHARE_MAX = 0.3
@@ -89,7 +91,7 @@ class GelContour:
             moved_px: How far the contact has moved without rotating, frame pixels: it may have rolled.
         """
         shrunk = math.log(max(self._area_px, 1) / max(patch.area_px, 1)) / math.log(SHRUNK)
-        rolled_deg = ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, 0.0)
+        rolled_deg = ROLLED_DEG * max(moved_px - ROLLED_FREE_PX, ROLLED_UNSEEN_PX if self.smooth else 0.0)
         if not self.smooth:
             rolled_deg = min(max(shrunk, 0.0), 1.0) * min(rolled_deg, ROLLED_MAX_DEG)
         leaning_deg = (LEAN_SMOOTH_DEG if self.smooth else LEAN_DEG) * max(lean - LEAN_FREE, 0.0)

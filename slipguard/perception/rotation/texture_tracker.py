@@ -173,9 +173,8 @@ class TextureTracker:
             apart_deg = abs(math.remainder(other.pose.rotation_deg - best.pose.rotation_deg, 360.0))
             if best.declined is None and apart_deg > 0.5 * APART_DEG and other.alike > best.alike - UNIQUE:
                 detail = f"{best.pose.rotation_deg:+.0f} and {other.pose.rotation_deg:+.0f} deg"
-                return TrackedTexture(
-                    RotationEstimate(None, None, explain(DeclineReason.SEVERAL_ROTATIONS, detail)), 1.0
-                )
+                several = RotationEstimate(None, None, explain(DeclineReason.SEVERAL_ROTATIONS, detail))
+                return TrackedTexture(several, 1.0, uneven_deg=best.uneven_deg, twist_deg=best.twist_deg)
         near_deg = predicted_deg + math.remainder(best.pose.rotation_deg - predicted_deg, 360.0)
         found = self._tracked(first, best, (best.pose.dx_px, best.pose.dy_px), near_deg, 0.0)
         if found.rotation.rotation_deg is not None:

@@ -57,6 +57,20 @@ def test_a_middle_that_slips_and_a_body_that_rolls_are_within_sigma(effect: Effe
     assert max(errors_sigma) < 3.0
 
 
+@pytest.mark.parametrize(
+    ("effect", "case", "seed"),
+    [
+        ("partial slip", "wedge", 9100),  # its middle lags behind, and then all that is seen follows the middle
+        ("partial slip", "screwdriver", 9100),  # after a gap its texture fits at two rotations, its contour lags
+        ("rocking", "banana", 9605),  # rolls in the first frame of its motion
+    ],
+)
+def test_what_has_slipped_or_rolled_unseen_stays_in_sigma(effect: EffectName, case: str, seed: int) -> None:
+    errors_deg, errors_sigma = errors(effect, case, seed)
+    assert len(errors_deg) > 15
+    assert max(errors_sigma) < 3.0
+
+
 def test_a_middle_that_rotates_by_itself_and_a_stronger_side_are_measured() -> None:
     template = texture_template()
     weight = np.ones(len(template.value), np.float32)
