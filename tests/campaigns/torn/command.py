@@ -148,8 +148,8 @@ def violations(found: dict[str, Any]) -> list[str]:
             for one in lifts
             if one["share"] == 0.0 and [one[name] for name in ("object_name", "kind", "seed")] == key
         )
-        firm = lift["kind"] == "firm"
-        if lift["outcome"] != "held" or lift["causeless"] > 0 or (firm and lift["tightenings"] > alone["tightenings"]):
+        tightened = lift["kind"] == "firm" and lift["tightenings"] > alone["tightenings"]
+        if lift["outcome"] != "held" or lift["causeless"] > alone["causeless"] or tightened:
             lines.append(f"lift: {lift}; without tears: {alone}")
     return lines
 
