@@ -1,9 +1,9 @@
 """Name the direction of a slide relative to gravity, from the orientation of the arm's tool.
 
-A fingertip sensor shows the finger with its tip at the bottom, so down in the image is the tool's z axis, which points
-out of the flange along the fingers. To the right is across the fingers. How far that axis is from the vertical depends
-on how the gripper is rotated on the flange, which is not known: across fingers that do not point up or down, a slide
-has no known direction.
+Rotated by `mounting_deg`, an image shows the finger with its tip at the bottom. So down is the tool's z axis, which
+points away from the flange along the fingers. To the right is across the fingers. How far that axis is from the
+vertical depends on how the gripper is rotated on the flange, which is not known: across fingers that do not point up or
+down, a slide has no known direction.
 
 Only the report depends on it. A slide upwards is not the object's weight: the arm has pushed the object onto something.
 It is answered like any other, for a sensor with a wrong `mounting_deg` must not hide that an object falls.
