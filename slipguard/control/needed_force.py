@@ -6,7 +6,7 @@ Two equal fingers press with N on patches of radius a(N). They hold a torque up 
     f(N) = 2 mu N                                        for a load without lever
 
 and twist elastically by theta = tau / (2 k), with k = k6 (a / 6 mm)^3 the stiffness of one gel  (Johnson, Contact
-Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
+Mechanics 1985, 3.10: 16/3 G a^3). From that follow five estimates:
 
 1. The onset of slip. At the first slip under a known force N1 the torque is T(N1). More than that arrives: by r.
 2. Free slip. The excess turns the object: I alpha = tau - T. A bar held at its end has I = 4/3 m b^2, so without
@@ -20,9 +20,12 @@ Mechanics 1985, 3.10: 16/3 G a^3). From that follow four estimates:
    s_on = mu N a^2 / k (Johnson 3.7: shear and torsion of an incompressible half-space differ by a^2). Up to these, no
    motion is slip. k6 is a log-normal estimate, and so is mu; the likeliest theta_on is its mode, the median times
    exp(-spread^2), and at most UNKNOWN_MAX before the first grasp. Each object that was lifted and hangs at rest has
-   twisted the gel by a share of theta_on, which narrows k6. What it rotated until the last step may have been slip,
-   and what it rotated since then has not been; the geometric mean of both counts. The torsion at the first slip
-   narrows the friction as far as k6 is known: ln theta_on = ln mu - ln k6 + ln(...), a Kalman update.
+   used a share of theta_on and s_on, which narrows k6: an object without a lever shears the gel and does not twist it.
+   What it moved until the last step may have been slip, and what it moved since then has not been; the geometric mean
+   of both counts. The torsion at the first slip narrows the friction as far as k6 is known: ln theta_on = ln mu - ln
+   k6 + ln(...), a Kalman update.
+5. A load that grows at rest. The share of the elastic motion that is used grows with it (elastic_share.py). Once that
+   exceeds 1 within the delay of the loop, the grip is raised by that share, before anything slips.
 
 The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: friction and patch cancel. `margin` is
 added where r was measured. With `friction` and `mass_kg` given, the force of the limit surface counts, too.
@@ -178,17 +181,21 @@ def after_slip(force_n: float, torsion_deg: float, friction: LogNormal, stiffnes
 
 
 def after_lift(
-    since_grip: tuple[float, float], since_step: tuple[float, float], friction: LogNormal, stiffness: LogNormal
+    since_grip: tuple[float, ElasticMotion],
+    since_step: tuple[float, ElasticMotion],
+    friction: LogNormal,
+    stiffness: LogNormal,
 ) -> LogNormal:
     """Return the stiffness after an object has been lifted and hangs at rest.
 
     Args:
-        since_grip, since_step: force at the beginning, and rotation in degrees since then.
+        since_grip, since_step: force at the beginning, and motion since then.
     """
 
-    def softer(force_n: float, torsion_deg: float) -> float:
-        expected_deg = HELD_SHARE * onset(force_n, friction.median, stiffness.median).deg
-        return _log_ratio(torsion_deg, expected_deg)
+    def softer(force_n: float, moved: ElasticMotion) -> float:
+        first = onset(force_n, friction.median, stiffness.median)
+        shear_deg = moved.mm * first.deg / first.mm if first.mm > 0.0 else 0.0
+        return _log_ratio(math.hypot(moved.deg, shear_deg), HELD_SHARE * first.deg)
 
     most, least = softer(*since_grip), softer(*since_step)
     total = friction.spread**2 + stiffness.spread**2 + HELD_SPREAD**2 + (0.5 * (most - least)) ** 2

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from slipguard.control.elastic_share import NO_SHARE, ElasticShare, elastic_share
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.needed_force import ElasticMotion
 from slipguard.control.params import GuardParams
@@ -62,7 +63,8 @@ class SlipAssessment:
         rotation_deg: away from the episode's baseline, without sign; rate_deg_s: positive while that grows.
         slip_mm, slip_rate_mm_s: distance from that baseline, in any direction, and the rate away from it. direction: in
             words, empty if unknown. slides: by an unknown distance.
-        moving: one of the rates is that of slip. elastic: all of the motion is within the elastic limit.
+        moving: one of the rates is that of slip.
+        share: of the elastic limit. elastic: all of the motion is within that limit.
         rotates, translates: this frame shows rotational or translational slip.
         slipping: slip is confirmed by enough frames.
         settled_s: the object has been at rest for this time.
@@ -76,6 +78,7 @@ class SlipAssessment:
     direction: str = ""
     slides: bool = False
     moving: bool = False
+    share: ElasticShare = NO_SHARE
     elastic: bool = False
     rotates: bool = False
     translates: bool = False
@@ -123,7 +126,9 @@ def assess_slip(
     )
     rotation_deg, rate_deg_s, rotates = _rotation(memory, fused, params, again_deg, only_outward)
     quick_frames = 0 if new_rest else _quick_frames(memory, fused, params, rested_deg, only_outward)
-    elastic = _is_elastic(memory, fused, elastic_limit)
+    share = elastic_share(memory, fused, elastic_limit)
+    arrives = memory.had_slip and memory.arm.case is ArmCase.LIFT_OFF and not memory.arm.hangs
+    elastic = elastic_limit.deg > 0.0 and share.used <= (AGAIN_SHARE if arrives else 1.0)
     if elastic:
         rotates, rests_further_out, quick_frames = False, False, 0
     quick_rotation = quick_frames > 0
@@ -150,6 +155,7 @@ def assess_slip(
         direction=direction,
         slides=slides,
         moving=rate_deg_s >= tuning.slip_rate_deg_s or fast or slides,
+        share=share,
         elastic=elastic,
         rotates=rotates or rests_further_out or quick_rotation,
         translates=translates,
@@ -293,21 +299,6 @@ def _rotation(
         return rotation_deg, rate_deg_s, begun and soon_deg > again_deg
     fast = rate_deg_s >= tuning.slip_rate_deg_s
     return rotation_deg, rate_deg_s, rotation_deg > least_deg and (fast or rotation_deg > max(creep_deg, least_deg))
-
-
-def _is_elastic(memory: SlipMemory, fused: FusedEstimate, elastic_limit: ElasticMotion) -> bool:
-    """Return whether rotation and shift are within the elastic limit: inside of an ellipse, the limit surface."""
-    baselines, rotation_deg, shift_mm = memory.baselines, fused.rotation_deg, fused.shift_mm
-    if elastic_limit.deg <= 0.0:
-        return False
-    share = 0.0
-    if rotation_deg is not None and baselines.unloaded_deg is not None:
-        share = (rotation_deg - baselines.unloaded_deg) / elastic_limit.deg
-    if shift_mm is not None and baselines.unloaded_mm is not None:
-        moved_mm = math.dist(baselines.unloaded_mm, (shift_mm, fused.sideways_mm or 0.0))
-        share = math.hypot(share, moved_mm / elastic_limit.mm)
-    arrives = memory.had_slip and memory.arm.case is ArmCase.LIFT_OFF and not memory.arm.hangs
-    return abs(share) <= (AGAIN_SHARE if arrives else 1.0)
 
 
 def _slide(

@@ -1,16 +1,19 @@
 """Respond to slip of a held object: tighten, and stop the arm.
 
 The force only ever rises, to what the load needs (needed_force.py). Further steps follow one loop delay apart while the
-object does not slow down. An episode ends when all has settled.
+object does not slow down. An episode ends when all has settled. A load that grows while the arm stands is answered
+before it slips (elastic_share.py).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from slipguard.control import force_limits, needed_force
+from slipguard.control.elastic_share import GROWS_MM, GROWS_S, GROWS_SHARE, growing_load
 from slipguard.control.messages import Observation
-from slipguard.control.needed_force import LogNormal, NeededForce
+from slipguard.control.needed_force import ElasticMotion, LogNormal, NeededForce
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Message, Text
 from slipguard.control.slip_detector import (
@@ -100,7 +103,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     if slip is None:
         if seen.slipping:
             return _begin(state, seen, observation, params)
-        return SlipResponse(_learn_from_lift(state, seen, observation, params))
+        return _raise_for_growth(_learn_from_lift(state, seen, observation, params), seen, observation, params)
     if _has_settled(state, slip, seen, observation, params):
         memory = seen.memory.after_episode(rotated=slip.rotates, raised=slip.raised)
         state = replace(state, held=replace(state.held, memory=memory, slip=None))
@@ -113,10 +116,17 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
 
 def _begin(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
     """Take the first step."""
-    state = _learn_from_slip(state, seen, observation, params)
-    now_s = observation.now_s
+    now_s, slipping_n, grip = observation.now_s, state.grip.target_n, state.grip
+    raised_from_n = state.held.raised_from_n
+    if raised_from_n is not None and seen.memory.captured_s < grip.commanded_s + _delay_s(state, params):
+        slipping_n = raised_from_n  # the raised grip shows only later
+    state = replace(state, held=replace(state.held, growing=None, raised_from_n=None))
+    state = _learn_from_slip(state, seen, observation, params, slipping_n)
     slip = SlipEpisode(now_s, now_s, seen.rotation_deg, seen.rate_deg_s, seen.slip_mm)
-    return _tighten(state, slip, seen, observation, params)
+    if slipping_n < grip.target_n and _needed_force(state, seen, params, slipping_n).force_n <= grip.target_n:
+        slip = replace(slip, tightened_s=grip.commanded_s, rotates=seen.rotates, raised=True)
+        return SlipResponse(_with_slip(state, slip), stop_arm=True)
+    return _tighten(state, slip, seen, observation, params, slipping_n)
 
 
 def _go_on(
@@ -147,7 +157,41 @@ def _go_on(
         return SlipResponse(_with_slip(state, _progress_from(slip, seen, with_rate=True)), stop_arm=True)
     if not (at_rest or late):
         return wait
-    return _tighten(state, slip, seen, observation, params)
+    return _tighten(state, slip, seen, observation, params, state.grip.target_n)
+
+
+def _raise_for_growth(
+    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
+) -> SlipResponse:
+    """Tighten before slip if a load that grows at rest will soon exceed its elastic limit."""
+    memory, growing, share, gripper = seen.memory, state.held.growing, seen.share, observation.gripper
+    growing = growing_load(growing, memory, share, seen.rotation_deg, seen.slip_mm)
+    state = replace(state, held=replace(state.held, growing=growing))
+    wait = SlipResponse(state)
+    if growing is None or gripper is None or not gripper_at_rest(state, gripper) or _no_force(state, observation):
+        return wait
+    delay_s, captured_s = _delay_s(state, params), memory.captured_s
+    if captured_s < max(growing.began_s + GROWS_S, state.grip.commanded_s + delay_s):
+        return wait
+    sigma_deg = observation.fused.sigma_deg if observation.fused is not None else None
+    least_deg = max(memory.quick_threshold_deg(ArmCase.REST, params), uncertainty_deg(sigma_deg or 0.0, params))
+    rotates = seen.rotation_deg - growing.from_deg >= least_deg
+    soon = growing.soon(share, observation.now_s - captured_s + delay_s)
+    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    moves = rotates or seen.slip_mm - growing.from_mm >= GROWS_MM
+    if soon < 1.0 or not moves or share.used - growing.used < GROWS_SHARE or force_range is None:
+        return wait
+    steps = needed_force.GENTLE if params.gentle else needed_force.QUICK
+    ratio = min(soon / max(growing.used, 1.0 / steps.margin), steps.margin * steps.ratio_least)
+    present_n = state.grip.target_n
+    needed = _force_for(state, params, present_n, ratio, slides=not rotates)
+    target_n = force_range.raised(present_n, needed.force_n)
+    if target_n <= present_n:
+        return wait
+    what = f"from {growing.used:.2f} to {share.used:.2f} of the elastic limit, soon {soon:.2f}"
+    message = Text.LOAD_GROWS.message(what=what, why=needed.reason, from_n=present_n, to_n=target_n)
+    state = replace(state, held=replace(state.held, growing=None, raised_from_n=present_n))
+    return SlipResponse(state.with_target(target_n, observation.now_s), target_n, message=message)
 
 
 def _progress_from(slip: SlipEpisode, seen: SlipAssessment, *, with_rate: bool = False) -> SlipEpisode:
@@ -179,13 +223,14 @@ def _tighten(
     seen: SlipAssessment,
     observation: Observation,
     params: GuardParams,
+    slipping_n: float,
 ) -> SlipResponse:
-    """Tighten to the force that the load needs, up to the force limit."""
+    """Tighten to the force that the load needs, up to the force limit. slipping_n: force at which it slips."""
     if _no_force(state, observation):
         return SlipResponse(_with_slip(state, slip), stop_arm=True)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     present_n = target_n = state.grip.target_n
-    needed = _needed_force(state, seen, params)
+    needed = _needed_force(state, seen, params, slipping_n)
     if force_range is not None:
         target_n = force_range.raised(present_n, needed.force_n)
     slip = replace(
@@ -202,17 +247,22 @@ def _tighten(
     return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, message=message)
 
 
-def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams) -> NeededForce:
+def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams, slipping_n: float) -> NeededForce:
     """Return the force that the load needs: where it is still arriving, the next one to try."""
     steps = needed_force.GENTLE if params.gentle else needed_force.QUICK
     ratio = steps.search
     if seen.memory.arm.case is not ArmCase.LIFT_OFF:
         moved = seen.rotation_deg, seen.rate_deg_s, seen.slip_mm, seen.slip_rate_mm_s
         ratio = steps.margin * needed_force.load_ratio(*moved, params.lever_mm, steps.ratio_least)
+    return _force_for(state, params, slipping_n, ratio, slides=seen.translates and not seen.rotates)
+
+
+def _force_for(state: GraspState, params: GuardParams, present_n: float, ratio: float, *, slides: bool) -> NeededForce:
+    """Return the force for `ratio` times the load at which the object slips from `present_n`."""
     return needed_force.needed_force(
-        state.grip.target_n,
+        present_n,
         ratio,
-        slides=seen.translates and not seen.rotates,
+        slides=slides,
         friction=_friction(state, params),
         modelled_n=params.modelled_n(state.held.pad),
         pad=state.held.pad,
@@ -220,15 +270,15 @@ def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams) 
 
 
 def _learn_from_slip(
-    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
+    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams, slipping_n: float
 ) -> GraspState:
     """Return the state with what the torsion at the first slip says about the friction."""
     if state.held.first_n is None:
-        state = replace(state, held=replace(state.held, first_n=state.grip.target_n))
-    if state.held.friction is not None or not seen.rotates or state.grip.target_n <= 0.0:
+        state = replace(state, held=replace(state.held, first_n=slipping_n))
+    if state.held.friction is not None or not seen.rotates or slipping_n <= 0.0:
         return state
     known = _friction(state, params), state.gel
-    friction = needed_force.after_slip(state.grip.target_n, observation.rotation_deg, *known)
+    friction = needed_force.after_slip(slipping_n, observation.rotation_deg, *known)
     return replace(state, held=replace(state.held, friction=friction))
 
 
@@ -236,15 +286,18 @@ def _learn_from_lift(
     state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
 ) -> GraspState:
     """Return the state with what the torsion of an object that has been lifted says about the gel."""
-    context, from_deg = seen.memory.arm, seen.memory.baselines.unloaded_deg
+    context, from_deg, fused = seen.memory.arm, seen.memory.baselines.unloaded_deg, observation.fused
     rests = context.hangs and context.case is ArmCase.REST and seen.settled_s >= REST_S
-    rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
     if state.held.gel_learned or not rests or not state.held.referenced or state.grip.target_n <= 0.0:
         return state
-    if rotation_deg is None or from_deg is None:
+    rotation_deg = fused.rotation_deg if fused is not None else None
+    if fused is None or rotation_deg is None or from_deg is None:
         return state
-    since_grip = state.held.first_n or state.grip.target_n, abs(rotation_deg)
-    since_step = state.grip.target_n, abs(rotation_deg - from_deg)
+    from_mm = seen.memory.baselines.unloaded_mm
+    shift_mm = (fused.shift_mm, fused.sideways_mm or 0.0) if fused.shift_mm is not None else (0.0, 0.0)
+    since_mm = math.dist(shift_mm, from_mm) if fused.shift_mm is not None and from_mm is not None else 0.0
+    since_grip = state.held.first_n or state.grip.target_n, ElasticMotion(abs(rotation_deg), math.hypot(*shift_mm))
+    since_step = state.grip.target_n, ElasticMotion(abs(rotation_deg - from_deg), since_mm)
     gel = needed_force.after_lift(since_grip, since_step, _friction(state, params), state.gel)
     return replace(state, held=replace(state.held, gel_learned=True), gel=gel)
 

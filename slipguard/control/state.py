@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+from slipguard.control.elastic_share import GrowingLoad
 from slipguard.control.needed_force import PAD, STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.slip_memory import SlipMemory
@@ -123,6 +124,8 @@ class HeldObject:
         first_n: force at its first slip; None: not yet. friction: estimated then.
         gel_learned: this grasp has shown the gel's stiffness.
         pad: with the contact that was seen when it was gripped.
+        growing: a load that grows at rest; None: none does. raised_from_n: force before the grip was last raised for
+            such a load; None: not since the last slip.
     """
 
     referenced: bool = False
@@ -135,6 +138,8 @@ class HeldObject:
     friction: LogNormal | None = None
     gel_learned: bool = False
     pad: Pad = PAD
+    growing: GrowingLoad | None = None
+    raised_from_n: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

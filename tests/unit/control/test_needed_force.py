@@ -7,7 +7,7 @@ import math
 import pytest
 
 from slipguard.control import needed_force as need
-from slipguard.control.needed_force import FRICTION_PRIOR, STIFFNESS_PRIOR, LogNormal
+from slipguard.control.needed_force import FRICTION_PRIOR, STIFFNESS_PRIOR, ElasticMotion, LogNormal
 from slipguard.limit_surface import GRAVITY_M_S2, Pad, force_needed_n, torque_limit_n_m
 
 
@@ -89,22 +89,34 @@ def test_the_stiffness_is_learned_from_objects_that_hang_at_rest(true_n_m_rad: f
     gel = STIFFNESS_PRIOR
     for share in (0.2, 0.5, 0.4, 0.7, 0.3):
         torsion_deg = share * need.onset(40.0, 0.6, true_n_m_rad).deg
-        gel = need.after_lift((40.0, torsion_deg), (40.0, torsion_deg), FRICTION_PRIOR, gel)
+        gel = need.after_lift(
+            (40.0, ElasticMotion(torsion_deg)), (40.0, ElasticMotion(torsion_deg)), FRICTION_PRIOR, gel
+        )
     assert gel.spread < 0.5
     if true_n_m_rad < 10.0:
         assert gel.median == pytest.approx(true_n_m_rad, rel=0.4)
     else:
         assert gel.median > 2.0  # torsion below the noise: at least so stiff
     for _ in range(20):
-        gel = need.after_lift((40.0, 2.0), (40.0, 2.0), FRICTION_PRIOR, gel)
+        gel = need.after_lift((40.0, ElasticMotion(2.0)), (40.0, ElasticMotion(2.0)), FRICTION_PRIOR, gel)
     assert gel.spread == need.STIFFNESS_SPREAD_LEAST
+
+
+def test_an_object_without_a_lever_shows_the_stiffness_by_its_shear() -> None:
+    first = need.onset(40.0, FRICTION_PRIOR.median, 0.3)
+    twisted = 40.0, ElasticMotion(deg=0.4 * first.deg)
+    sheared = 40.0, ElasticMotion(mm=0.4 * first.mm)
+    by_torsion = need.after_lift(twisted, twisted, FRICTION_PRIOR, STIFFNESS_PRIOR)
+    by_shear = need.after_lift(sheared, sheared, FRICTION_PRIOR, STIFFNESS_PRIOR)
+    assert by_shear.median == pytest.approx(by_torsion.median, rel=1e-6)
+    assert by_shear.spread == pytest.approx(by_torsion.spread)
 
 
 def test_a_rotation_that_may_have_been_slip_shows_little_about_the_gel() -> None:
     """4 degrees since the grip, but next to none since the last step."""
     known = LogNormal(2.0, 0.5)
-    slipped = need.after_lift((20.0, 4.0), (30.0, 0.05), FRICTION_PRIOR, known)
-    twisted = need.after_lift((20.0, 4.0), (30.0, 4.0), FRICTION_PRIOR, known)
+    slipped = need.after_lift((20.0, ElasticMotion(4.0)), (30.0, ElasticMotion(0.05)), FRICTION_PRIOR, known)
+    twisted = need.after_lift((20.0, ElasticMotion(4.0)), (30.0, ElasticMotion(4.0)), FRICTION_PRIOR, known)
     assert slipped.median > 0.75 * known.median
     assert slipped.spread > 0.9 * known.spread
     assert twisted.median < 0.6 * known.median
