@@ -59,7 +59,7 @@ def there() -> Iterator[Cell]:
             for serial in ("SIM-L", "SIM-R"):
                 StateDir(made.folder / "state").save_background(serial, gel)
             patient = made.config.read_text().replace("[arm]\n", "timeout_ms = 1000\n[arm]\n", 1)
-            made.config.write_text(patient)
+            made.config.write_text(patient + "\n[guard.tuning]\ngripper_timeout_s = 2.0\n")
             yield made
 
 
