@@ -7,13 +7,12 @@ before it slips (elastic_share.py).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
-from slipguard.control import force_limits, needed_force
+from slipguard.control import force_limits, grasp_model, needed_force
 from slipguard.control.elastic_share import GROWS_MM, GROWS_S, GROWS_SHARE, growing_load
 from slipguard.control.messages import Observation
-from slipguard.control.needed_force import ElasticMotion, LogNormal, NeededForce
+from slipguard.control.needed_force import NeededForce
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Message, Text
 from slipguard.control.slip_detector import (
@@ -48,8 +47,6 @@ RATE_LAG_S = 0.05
 """A rate is the slope of a tenth of a second."""
 DELAY_MAX_S = 0.5
 """A longer delay of the gripper is not waited for."""
-REST_S = 0.5
-"""An object at rest in the air for this time shows its elastic torsion."""
 LATE_SHARE = 0.5
 """Beyond this share of `rotation_max_deg` the next step does not wait for the effect of the last one."""
 
@@ -77,7 +74,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     held = state.held
     if observation.fused is None or not state.guarding:
         return SlipResponse(state, stop_arm=held.slip is not None)
-    elastic_limit = needed_force.elastic_limit(state.grip.target_n, _friction(state, params), state.gel)
+    elastic_limit = grasp_model.elastic_limit(state, params)
     force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
     at_limit = force_range is None or state.grip.target_n >= force_range.high_n
     seen = assess_slip(
@@ -103,7 +100,9 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     if slip is None:
         if seen.slipping:
             return _begin(state, seen, observation, params)
-        return _raise_for_growth(_learn_from_lift(state, seen, observation, params), seen, observation, params)
+        return _raise_for_growth(
+            grasp_model.learn_from_lift(state, seen, observation, params), seen, observation, params
+        )
     if _has_settled(state, slip, seen, observation, params):
         memory = seen.memory.after_episode(rotated=slip.rotates, raised=slip.raised)
         state = replace(state, held=replace(state.held, memory=memory, slip=None))
@@ -121,7 +120,7 @@ def _begin(state: GraspState, seen: SlipAssessment, observation: Observation, pa
     if raised_from_n is not None and seen.memory.captured_s < grip.commanded_s + _delay_s(state, params):
         slipping_n = raised_from_n  # the raised grip shows only later
     state = replace(state, held=replace(state.held, growing=None, raised_from_n=None))
-    state = _learn_from_slip(state, seen, observation, params, slipping_n)
+    state = grasp_model.learn_from_slip(state, seen, observation, params, slipping_n)
     slip = SlipEpisode(now_s, now_s, seen.rotation_deg, seen.rate_deg_s, seen.slip_mm)
     if slipping_n < grip.target_n and _needed_force(state, seen, params, slipping_n).force_n <= grip.target_n:
         slip = replace(slip, tightened_s=grip.commanded_s, rotates=seen.rotates, raised=True)
@@ -184,7 +183,7 @@ def _raise_for_growth(
     steps = needed_force.GENTLE if params.gentle else needed_force.QUICK
     ratio = min(soon / max(growing.used, 1.0 / steps.margin), steps.margin * steps.ratio_least)
     present_n = state.grip.target_n
-    needed = _force_for(state, params, present_n, ratio, slides=not rotates)
+    needed = grasp_model.force_for(state, params, present_n, ratio, slides=not rotates)
     target_n = force_range.raised(present_n, needed.force_n)
     if target_n <= present_n:
         return wait
@@ -254,57 +253,7 @@ def _needed_force(state: GraspState, seen: SlipAssessment, params: GuardParams, 
     if seen.memory.arm.case is not ArmCase.LIFT_OFF:
         moved = seen.rotation_deg, seen.rate_deg_s, seen.slip_mm, seen.slip_rate_mm_s
         ratio = steps.margin * needed_force.load_ratio(*moved, params.lever_mm, steps.ratio_least)
-    return _force_for(state, params, slipping_n, ratio, slides=seen.translates and not seen.rotates)
-
-
-def _force_for(state: GraspState, params: GuardParams, present_n: float, ratio: float, *, slides: bool) -> NeededForce:
-    """Return the force for `ratio` times the load at which the object slips from `present_n`."""
-    return needed_force.needed_force(
-        present_n,
-        ratio,
-        slides=slides,
-        friction=_friction(state, params),
-        modelled_n=params.modelled_n(state.held.pad),
-        pad=state.held.pad,
-    )
-
-
-def _learn_from_slip(
-    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams, slipping_n: float
-) -> GraspState:
-    """Return the state with what the torsion at the first slip says about the friction."""
-    if state.held.first_n is None:
-        state = replace(state, held=replace(state.held, first_n=slipping_n))
-    if state.held.friction is not None or not seen.rotates or slipping_n <= 0.0:
-        return state
-    known = _friction(state, params), state.gel
-    friction = needed_force.after_slip(slipping_n, observation.rotation_deg, *known)
-    return replace(state, held=replace(state.held, friction=friction))
-
-
-def _learn_from_lift(
-    state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams
-) -> GraspState:
-    """Return the state with what the torsion of an object that has been lifted says about the gel."""
-    context, from_deg, fused = seen.memory.arm, seen.memory.baselines.unloaded_deg, observation.fused
-    rests = context.hangs and context.case is ArmCase.REST and seen.settled_s >= REST_S
-    if state.held.gel_learned or not rests or not state.held.referenced or state.grip.target_n <= 0.0:
-        return state
-    rotation_deg = fused.rotation_deg if fused is not None else None
-    if fused is None or rotation_deg is None or from_deg is None:
-        return state
-    from_mm = seen.memory.baselines.unloaded_mm
-    shift_mm = (fused.shift_mm, fused.sideways_mm or 0.0) if fused.shift_mm is not None else (0.0, 0.0)
-    since_mm = math.dist(shift_mm, from_mm) if fused.shift_mm is not None and from_mm is not None else 0.0
-    since_grip = state.held.first_n or state.grip.target_n, ElasticMotion(abs(rotation_deg), math.hypot(*shift_mm))
-    since_step = state.grip.target_n, ElasticMotion(abs(rotation_deg - from_deg), since_mm)
-    gel = needed_force.after_lift(since_grip, since_step, _friction(state, params), state.gel)
-    return replace(state, held=replace(state.held, gel_learned=True), gel=gel)
-
-
-def _friction(state: GraspState, params: GuardParams) -> LogNormal:
-    """Return what is known of the friction of the held object."""
-    return state.held.friction or needed_force.friction_of(params.friction)
+    return grasp_model.force_for(state, params, slipping_n, ratio, slides=seen.translates and not seen.rotates)
 
 
 def _no_force(state: GraspState, observation: Observation) -> bool:
