@@ -113,7 +113,7 @@ def _grip_unseen(state: GraspState, output: StepOutput, observation: Observation
     carried = arm is not None and start_mm is not None and arm.height_mm - start_mm > CARRIED_MM
     if fault is None or fault.code is not FaultCode.ESTIMATE_UNTRUSTED or not carried or state.person.forbids_force:
         return state, output
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     if fused is None or fused.rotation_deg is not None or force_range is None:
         return state, output
     target_n = force_range.allowed(params.no_estimate_force_n, state.grip.target_n)

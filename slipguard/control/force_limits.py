@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
 
 REGISTER_COUNTS = 255
@@ -50,6 +51,11 @@ def force_range(force_max_n: float, gripper_limits_n: tuple[float, float]) -> Fo
         return ForceRange(low_n, low_n, 0.0)
     counts = math.floor((min(force_max_n, strongest_n) - low_n) / step_n + 1e-9)
     return ForceRange(low_n, low_n + counts * step_n, step_n)
+
+
+def present_range(params: GuardParams, observation: Observation) -> ForceRange | None:
+    """Return what the configured force limit leaves of the present gripper's range, as `force_range` does."""
+    return force_range(params.force_max_n, observation.gripper_limits_n)
 
 
 def first_n(params: GuardParams) -> float:

@@ -125,7 +125,7 @@ def _reference(state: GraspState, observation: Observation, params: GuardParams)
     state = _holding_since(state, now_s, why)
     if params.on_no_estimate == "refuse" or not state.guarding:
         return state, _saying(Text.NO_ESTIMATE.message(why=why))
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     target_n = force_range.allowed(params.no_estimate_force_n, present_n) if force_range is not None else 0.0
     output = _saying(Text.NO_ESTIMATE_GRIP.message(why=why, force_n=max(target_n, present_n)))
     if target_n <= present_n or state.person.now:
@@ -145,7 +145,7 @@ def _grip_for_contact(
     pad = needed_force.seen_pad(radius_mm, present_n)
     state = replace(state, held=replace(state.held, pad=pad))
     needed_n = params.modelled_n(pad)
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     if needed_n is None or force_range is None or needed_n <= AGAIN_TIMES * present_n:
         return state, None
     own = state.grip.commanded_s > -math.inf and present_n >= force_limits.first_n(params)
@@ -285,7 +285,7 @@ def _taken_over(
     """Return the state that guards what the gripper holds, and the message about it."""
     before, force = state.adoption.remembered, force_text(gripper, gripper.force_n)
     state = state.taken_over(gripper, observation.now_s)
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     if before is not None and not before.applied and before.fits(gripper) and force_range is not None:
         known_n = force_range.allowed(before.force_n, state.grip.target_n)
         if known_n > state.grip.target_n:

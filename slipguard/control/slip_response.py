@@ -75,7 +75,7 @@ def respond_to_slip(state: GraspState, observation: Observation, params: GuardPa
     if observation.fused is None or not state.guarding:
         return SlipResponse(state, stop_arm=held.slip is not None)
     elastic_limit = grasp_model.elastic_limit(state, params)
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     at_limit = force_range is None or state.grip.target_n >= force_range.high_n
     seen = assess_slip(
         held.memory,
@@ -146,7 +146,7 @@ def _go_on(
     if seen.elastic or not (slips_on or rotated_deg > _crept_deg(observation, params) or moved_mm > CREPT_MM):
         return wait
     at_rest = gripper is not None and gripper_at_rest(state, gripper)
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     if force_range is None or state.grip.target_n >= force_range.high_n:
         beyond = seen.slides or rotated_deg > BEYOND_LIMIT_DEG or moved_mm > BEYOND_LIMIT_MM
         return replace(wait, fault=_limit_reached(state, seen.what, params)) if at_rest and beyond else wait
@@ -176,7 +176,7 @@ def _raise_for_growth(
     least_deg = max(memory.quick_threshold_deg(ArmCase.REST, params), uncertainty_deg(sigma_deg or 0.0, params))
     rotates = seen.rotation_deg - growing.from_deg >= least_deg
     soon = growing.soon(share, observation.now_s - captured_s + delay_s)
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     moves = rotates or seen.slip_mm - growing.from_mm >= GROWS_MM
     if soon < 1.0 or not moves or share.used - growing.used < GROWS_SHARE or force_range is None:
         return wait
@@ -227,7 +227,7 @@ def _tighten(
     """Tighten to the force that the load needs, up to the force limit. slipping_n: force at which it slips."""
     if _no_force(state, observation):
         return SlipResponse(_with_slip(state, slip), stop_arm=True)
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     present_n = target_n = state.grip.target_n
     needed = _needed_force(state, seen, params, slipping_n)
     if force_range is not None:
@@ -309,7 +309,7 @@ def _give_up(state: GraspState, seen: SlipAssessment, observation: Observation, 
         f"rotated {observation.rotation_deg:.0f}° since it was gripped{rate}",
         "support the object and release it; grip it nearer to its center of mass",
     )
-    force_range = force_limits.force_range(params.force_max_n, observation.gripper_limits_n)
+    force_range = force_limits.present_range(params, observation)
     present_n = target_n = state.grip.target_n
     if force_range is not None:
         target_n = force_range.allowed(params.force_max_n, present_n)
