@@ -56,8 +56,12 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-def raised_in(error: BaseException) -> tuple[Path, int] | None:
-    """Return file and line in which an exception was raised; None if it was not raised yet."""
+def raised_in(error: BaseException, own: Path) -> str:
+    """Return file and line in which an exception was raised, as " (name.py, line 3)".
+
+    Empty if it was not raised yet, or in `own`, the file or folder that found the error.
+    """
     for frame in traceback.extract_tb(error.__traceback__)[-1:]:
-        return Path(frame.filename), frame.lineno or 0
-    return None
+        file = Path(frame.filename)
+        return "" if file.is_relative_to(own) else f" ({file.name}, line {frame.lineno})"
+    return ""

@@ -59,8 +59,7 @@ def build_device(group: str, name: str, settings: BaseModel, context: DriverCont
     except SlipguardError:
         raise
     except Exception as error:
-        place = raised_in(error)
-        where = "" if place is None or place[0] == Path(__file__) else f" ({place[0].name}, line {place[1]})"
+        where = raised_in(error, Path(__file__))
         raise ConfigError(
             f"{context.name}: driver {name!r} cannot be built{where}: {describe_error(error)}; correct the driver"
         ) from error

@@ -44,8 +44,7 @@ def error_place(source: object, error: BaseException) -> str:
     The place is left out if it is in this folder, where a returned value was found to be invalid.
     """
     source = getattr(source, "func", source)  # of a partial
-    place = raised_in(error)
-    where = "" if place is None or place[0].parent == HERE else f" ({place[0].name}, line {place[1]})"
+    where = raised_in(error, HERE)
     return f"{source.__module__}.{getattr(source, '__qualname__', type(source).__qualname__)}{where}"
 
 
