@@ -40,13 +40,14 @@ further than what is seen, although nothing shows it any more."""
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contact:
-    """A segmented contact to be measured against the reference.
+    """A segmented contact in the frame of `now_s`, to be measured against the reference.
 
     texture_map: its texture; None where that is not used. axes: by the fast estimator. predicted_deg: the expected
     rotation. center_shift_px: how far its center has moved, frame pixels right and down. lost: whether the rotation has
     been unknown for longer than `GAP_S`.
     """
 
+    now_s: float
     patch: Patch
     texture_map: TextureMap | None
     axes: PatchAxes
@@ -162,7 +163,7 @@ class RotationMeter:
         texture_map, found = self._texture_in(reference, image, patch, now_s)
         (x, y), (before_x, before_y) = patch.center_px, reference.patch.center_px
         lost = now_s - self._tracker.known_at_s > GAP_S
-        contact = _Contact(patch, texture_map, axes, predicted_deg, (x - before_x, y - before_y), lost)
+        contact = _Contact(now_s, patch, texture_map, axes, predicted_deg, (x - before_x, y - before_y), lost)
         fused = self._fuse(reference, contact, found, timer)
         if fused.found is not None and fused.found.fit is not None:
             self._segmented = SegmentedTexture(now_s, fused.found.fit, fused.found.rotation, fused.rotation)
@@ -209,7 +210,7 @@ class RotationMeter:
         if texture is None or texture_map is None:
             return None
         if contact.lost and not texture.round and texture.period_deg is None:
-            return texture.search_everywhere(texture_map, contact.patch, contact.predicted_deg)
+            return texture.search_everywhere(texture_map, contact.patch, contact.predicted_deg, contact.now_s)
         return texture.track(texture_map, contact.patch, contact.predicted_deg, axis)
 
     def _fuse_with_contour(

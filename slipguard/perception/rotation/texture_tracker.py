@@ -58,6 +58,9 @@ PERIOD_SHARE = 0.4
 """Rotation from the expected one, as a share of the period, at which it may be the next one; 0.5 is the limit."""
 UNIQUE = 0.1
 """After a gap, the texture's correlation must exceed that at every other rotation by this."""
+SEARCH_S = 0.06
+"""After a search of all rotations that found nothing, the next one follows this much later: it takes longer than all
+other work of a frame."""
 GAP_SHARE = 0.9
 """It may also be the next one if the way to the next period's place, times this share for its accuracy, is no longer
 than the possible rotation in the gap."""
@@ -112,6 +115,7 @@ class TextureTracker:
         self._key_pose = TexturePose()
         self._memory = ImprintMemory()
         self._gap_deg = 0.0
+        self._searched: tuple[float, TrackedTexture] = (-math.inf, _declined(DeclineReason.NO_REFERENCE))
         self.ambiguous = rotated_unseen and self.period_deg is not None
         """Whether a periodic texture may be off by whole periods, until the axis resolves it."""
 
@@ -157,12 +161,22 @@ class TextureTracker:
         self.ambiguous = found.rotation.rotation_deg is None
         return found
 
-    def search_everywhere(self, texture_map: TextureMap, patch: Patch, predicted_deg: float) -> TrackedTexture:
+    def search_everywhere(
+        self, texture_map: TextureMap, patch: Patch, predicted_deg: float, now_s: float
+    ) -> TrackedTexture:
         """Return the rotation after a gap, in which the object may have rotated by any angle.
 
         All rotations are tried, about the present contact's center and about the last one. It is declined if the
-        texture fits nearly as well at another rotation, the one before the gap included.
+        texture fits nearly as well at another rotation, the one before the gap included. A declined result counts for
+        `SEARCH_S`, without a new search.
         """
+        searched_s, found = self._searched
+        if not 0.0 <= now_s - searched_s < SEARCH_S or found.rotation.rotation_deg is not None:
+            found = self._try_everywhere(texture_map, patch, predicted_deg)
+            self._searched = now_s, found
+        return found
+
+    def _try_everywhere(self, texture_map: TextureMap, patch: Patch, predicted_deg: float) -> TrackedTexture:
         first = self._first
         x, y = (at / REDUCTION - center for at, center in zip(patch.center_px, first.center_px, strict=True))
         starts = [replace(self._pose, rotation_deg=predicted_deg)]

@@ -14,8 +14,10 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation import texture_tracker
 from slipguard.perception.rotation.fusion import RotationEstimate
 from slipguard.perception.rotation.rotation_tracker import AGREEING_FRAMES, GAP_S, RotationTracker
+from slipguard.perception.rotation.texture_registration import likely_rotations_deg
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -32,7 +34,7 @@ class Finger:
         thing, _ = bench_object(name)
         rng = np.random.default_rng(seed)
         unit = random_unit(rng)
-        self._camera, self._sign, self._frames, self._now_s = GelCamera(unit, seed=seed), sign, 0, 0.0
+        self._camera, self._sign, self.frames, self._now_s = GelCamera(unit, seed=seed), sign, 0, 0.0
         background = self._camera.no_contact()
         x_mm, y_mm, start_deg = rng.uniform(-1, 1), rng.uniform(-1, 1), rng.uniform(-180, 180)
         self._view = GelView(name, x_mm, y_mm, start_deg, 0.6 * thing.press_mm)
@@ -43,10 +45,14 @@ class Finger:
     def lose(self, frames: int = LOST_FRAMES) -> None:
         self._now_s += frames * FRAME_S
 
+    def show(self, name: str) -> None:
+        """Replace the object."""
+        self._view = replace(self._view, object_name=name)
+
     def see(self, rotation_deg: float) -> Estimate:
         view = replace(self._view, angle_deg=self._view.angle_deg + self._sign * rotation_deg)
-        self._frames, self._now_s = self._frames + 1, self._now_s + FRAME_S
-        return self._pipeline.process(Frame(self._camera.draw(view), self._now_s, self._frames))
+        self.frames, self._now_s = self.frames + 1, self._now_s + FRAME_S
+        return self._pipeline.process(Frame(self._camera.draw(view), self._now_s, self.frames))
 
 
 def after_lost_frames(name: str, rotation_deg: float) -> list[FusedEstimate]:
@@ -99,6 +105,23 @@ def test_a_texture_is_regained_where_it_is(rotation_deg: float) -> None:
     assert seen[-1].rotation_deg == pytest.approx(rotation_deg, abs=0.5)
     if rotation_deg:
         assert [one.decline_reason for one in seen[:-1]] == [DeclineReason.REGAINED] * (AGREEING_FRAMES - 1)
+
+
+def test_a_search_that_found_nothing_is_not_repeated_in_every_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[int] = []
+
+    def search(*_: object) -> list[float]:
+        searched.append(finger.frames)
+        return likely_rotations_deg(*_)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(texture_tracker, "likely_rotations_deg", search)
+    finger = Finger("key", 5)
+    finger.lose(22)
+    finger.show("ring")
+    first = finger.frames + 1
+    for _ in range(8):
+        assert finger.see(0.0).rotation_deg is None
+    assert searched == [first, first + 4]  # `SEARCH_S` at 60 Hz
 
 
 def regained(tracker: RotationTracker, rotations: list[float], from_s: float) -> list[RotationEstimate]:
