@@ -43,6 +43,10 @@ def test_a_greater_force_from_before_the_restart_is_reported() -> None:
     assert command.text == "an object is already held with 20 N: taken over with the 91 N from before the restart"
     _, command = step(remembered, observation(100.0, gripper=gripper(95.0, at_s=100.0)), PARAMS)
     assert command.text == "an object is already held with 95 N: taken over as it is"
+    unconfirmed = grasp_state(remembered=RememberedGrip(91.0, 30.0, applied=False))
+    _, command = step(unconfirmed, observation(100.0, gripper=gripper(20.0, at_s=100.0)), PARAMS)
+    again = "taken over; the 92 N requested before the restart are commanded again"
+    assert command.text == f"an object is already held with 20 N: {again}"
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from slipguard.control.control_step import step
 from slipguard.control.messages import LiftArm, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.phases import NOTHING_S
-from slipguard.control.reports import FaultCode
+from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import Phase
 
 
@@ -69,8 +69,8 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     play.step(RequestKind.GRASP)
     play.jaws = changed(play.jaws, holding=False, moving=True)
     play.steps(5.2)
-    assert play.grasp.fault is not None
-    assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
+    what_to_do = "check the jaws and the gripper's cable, then clear"
+    assert play.grasp.fault == Fault(FaultCode.GRIPPER_STUCK, "not closed on an object within 5 s", what_to_do)
 
 
 def test_jaws_that_stand_apart_without_an_object_are_a_named_fault_that_can_be_cleared() -> None:
@@ -138,7 +138,7 @@ def test_one_finger_will_do_after_the_time_out() -> None:
     assert play.grasp.phase is Phase.REFERENCE
     said = [command.text for command in play.steps(0.2) if command.text]
     assert play.grasp.phase is Phase.HOLDING
-    assert "one finger only (right finger: round contact)" in said[0]
+    assert said[0].startswith("holding with 40 N, rotation estimated by one finger only (right finger: round contact)")
 
 
 def test_an_answer_from_before_the_grip_is_no_reference() -> None:
@@ -150,20 +150,28 @@ def test_an_answer_from_before_the_grip_is_no_reference() -> None:
     assert play.grasp.phase is Phase.REFERENCE
 
 
+ROUND = "left finger: round contact; right finger: round contact"
+
+
 def without_estimate(params: GuardParams) -> Play:
     play = Play(params)
     play.step(RequestKind.GRASP)
     play.step()
-    play.view = fused(None, declined="left finger: round contact; right finger: round contact")
+    play.view = fused(None, declined=ROUND)
     play.steps(1.1)
     assert play.grasp.phase is Phase.HOLDING
     return play
 
 
+def has_said(play: Play, text: str) -> bool:
+    return any(message.text == text for command in play.commands for message in command.messages)
+
+
 def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
     play = without_estimate(PARAMS)
     assert play.grasp.grip.target_n == pytest.approx(100.0, abs=0.85)
-    assert "round contact" in (play.grasp.held.no_estimate or "")
+    assert has_said(play, f"no rotation estimate ({ROUND}): gripping with 100 N")
+    assert play.grasp.held.no_estimate == ROUND
     assert isinstance(play.step(RequestKind.LIFT).arm, LiftArm)
     play.steps(3.0)
     assert play.grasp.phase is Phase.HOLDING  # no rotation is required if it never could be estimated
@@ -171,6 +179,7 @@ def test_without_a_reference_it_grips_firmly_before_lifting() -> None:
 
 def test_without_a_reference_it_refuses_the_lift_with_a_reason() -> None:
     play = without_estimate(guard_params(on_no_estimate="refuse"))
+    assert has_said(play, f"no rotation estimate ({ROUND})")
     assert play.grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
     refused = str(play.step(RequestKind.LIFT).refusal)
     assert refused is not None

@@ -71,7 +71,9 @@ def test_guard_mode_guards_what_another_program_grips() -> None:
     play.steps(0.1)
     assert play.grasp.phase is Phase.IDLE  # no contact seen yet
     play.view = fused()
-    assert play.step().new_reference
+    command = play.step()
+    assert command.new_reference
+    assert command.text == "an object is held with 55 N: guarding"
     play.steps(0.1)
     assert play.grasp.phase is Phase.HOLDING
     play.here = arm(10.0, moving=True)

@@ -166,9 +166,9 @@ def test_both_fingers_mirrored_give_the_mirrored_rotation(a: float, sa: float, b
     assert min(a, -b) - 1e-9 <= one.rotation_deg <= max(a, -b) + 1e-9
 
 
-def jump(rotation_deg: float, sigma_deg: float = 0.3, *, axial: bool = False) -> Estimate:
+def jump(rotation_deg: float, sigma_deg: float = 0.3, *, rate_deg_s: float = 0.0, axial: bool = False) -> Estimate:
     """One finger's estimate that declines a jump which several of its frames agree on."""
-    unconfirmed = UnconfirmedRotation(rotation_deg, sigma_deg, 0.0, axial)
+    unconfirmed = UnconfirmedRotation(rotation_deg, sigma_deg, rate_deg_s, axial)
     return replace(estimate(None, declined="implausible jump"), unconfirmed=unconfirmed)
 
 
@@ -184,6 +184,22 @@ def test_two_fingers_confirm_a_jump_that_each_declines_alone() -> None:
     measured = fuse(jump(90.0), estimate(1.0))
     assert measured is not None
     assert measured.rotation_deg == -1.0
+
+
+def test_a_jump_has_its_rate() -> None:
+    both = fuse(jump(90.0, rate_deg_s=20.0), jump(-90.0, rate_deg_s=-30.0))
+    assert both is not None
+    assert both.rate_deg_s == pytest.approx(25.0)
+
+
+@pytest.mark.parametrize(
+    ("left_sigma_deg", "right_sigma_deg", "confirmed"),
+    [(0.3, 0.3, False), (2.0, 0.3, True), (0.3, 2.0, True)],
+)
+def test_jumps_agree_within_the_sigmas_of_both(left_sigma_deg: float, right_sigma_deg: float, confirmed: bool) -> None:
+    both = fuse(jump(90.0, left_sigma_deg), jump(-98.0, right_sigma_deg))
+    assert both is not None
+    assert (both.rotation_deg is not None) == confirmed
 
 
 def test_uncertain_axes_confirm_no_jump() -> None:

@@ -83,6 +83,19 @@ def test_a_gripper_that_rounds_up_stays_within_the_force_limit(force_max_n: floa
 
 
 @pytest.mark.parametrize(
+    ("values", "force_n"),
+    [
+        ({}, 100.0),
+        ({"force_max_n": 60.0}, 60.0),
+        ({"first_force_n": 110.0}, 110.0),
+        ({"first_force_n": 40.0, "force_max_n": 99.0}, 99.0),
+    ],
+)
+def test_the_force_without_an_estimate_fits_the_other_forces(values: dict[str, float], force_n: float) -> None:
+    assert guard_params(**values).no_estimate_force_n == force_n
+
+
+@pytest.mark.parametrize(
     ("values", "says"),
     [
         ({"first_force_n": 120.0, "no_estimate_force_n": 100.0}, "first_force_n"),
