@@ -303,3 +303,30 @@ def test_a_carried_object_that_no_finger_can_follow_any_more_is_gripped_firmer()
 )
 def test_otherwise_the_force_stays(height_mm: float, changes: dict[str, object], params: GuardParams) -> None:
     assert lost(height_mm, params, **changes).grasp.grip.target_n == pytest.approx(40.0, abs=0.85)
+
+
+@pytest.mark.parametrize(
+    ("phase", "kind", "values", "verb"),
+    [
+        (Phase.IDLE, RequestKind.GRASP, {}, "grasp"),
+        (Phase.IDLE, RequestKind.GRIPPER, {"width_mm": 40.0}, "move the jaws"),
+        (Phase.IDLE, RequestKind.ACTIVATE, {}, "activate"),
+        (Phase.FAULT, RequestKind.CLEAR, {}, "clear"),
+    ],
+)
+def test_near_a_person_no_request_moves_the_jaws(
+    phase: Phase, kind: RequestKind, values: dict[str, float], verb: str
+) -> None:
+    active = kind is not RequestKind.ACTIVATE
+    jaws = gripper(0.0, holding=False, width_mm=85.0, active=active, at_s=NOW_S)
+    seen = seen_in(phase, gripper=jaws, arm=arm(protective=True, at_s=NOW_S), request=ask(kind, **values))
+    _, command = step(state_in(phase), seen, PARAMS)
+    assert command.gripper is None
+    assert str(command.refusal) == f"cannot {verb}: the arm is in a protective or emergency stop; end that first"
+
+
+def test_clear_keeps_the_way_down() -> None:
+    before = state_in(Phase.FAULT, ground_mm=10.0, start_mm=(300.0, 0.0, 10.0))
+    state, command = step(before, seen_in(Phase.FAULT, request=ask(RequestKind.CLEAR)), PARAMS)
+    assert command.refusal is None
+    assert (state.phase, state.arm.ground_mm, state.arm.start_mm) == (Phase.REFERENCE, 10.0, (300.0, 0.0, 10.0))
