@@ -199,8 +199,7 @@ class RotationMeter:
         texture = None if found is None else found.rotation
 
         remembers = reference.texture is not None and reference.texture.remembers
-        remembers = remembers and texture is not None and texture.rotation_deg is not None
-        if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too
+        if remembers or not needs_contour(texture, axis):  # memory distorts contour and axis too, and uncorrected
             rotation = fuse_rotation(texture, None, axis if self._fuses_axis and not remembers else None)
             return _Fused(rotation, found, contact.center_shift_px, contact.axes, True)
         return self._fuse_with_contour(reference, contact, found, axis, timer)

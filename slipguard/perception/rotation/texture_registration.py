@@ -97,8 +97,9 @@ class TexturePose:
 class Ghost:
     """A part of the reference's texture that stays in place while the rest moves.
 
-    share: its amplitude relative to the reference's, with one standard deviation. pull_deg: by how much a ghost of
-    share 1 changes the rotation that a fit without a ghost finds, to first order.
+    share: its amplitude relative to that of the fitted texture, with one standard deviation: the same before and after
+    the two come apart. pull_deg: by how much a ghost of share 1 changes the rotation that a fit without a ghost finds,
+    to first order.
     """
 
     share: float
@@ -207,7 +208,7 @@ def fit_texture(template: TextureTemplate, texture_map: TextureMap, start: Textu
         strength=math.sqrt(clean2),
         declined=template.round_reason or _declined(float(visible.sum()) / visible.size, alike, uneven),
         static_bias_deg=bias * abs(pose.rotation_deg) * (1.0 - min(max(alike, 0.0), 1.0)),
-        ghost=replace(ghost, pull_deg=ghost.pull_deg / pose.gain),
+        ghost=replace(ghost, share=ghost.share / pose.gain, sigma=ghost.sigma / pose.gain),
         uneven=uneven,
         twist_deg=twist_deg,
         lean=lean,

@@ -327,6 +327,8 @@ class TextureTracker:
             smooth = rotated(self._first.smooth, rotation_deg)
         rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
         if template is self._first:
+            if self._memory.certain:  # it explains the static pattern, and the rotation is corrected for it
+                fit = replace(fit, static_bias_deg=0.0)
             rotation = self._memory.corrected(rotation_deg, sigma_deg(fit), fit.ghost)
         return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg, fit.twist_deg, fit.lean)
 
