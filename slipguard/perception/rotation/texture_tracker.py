@@ -49,6 +49,9 @@ MEMORY_ALIKE = 0.85
 """The gel's memory is estimated only while the texture's correlation with the reference is above this."""
 RETRY_DEG = 4.0
 """If the contour's rotation differs by more than this, the texture is also searched for there."""
+CENTER_PX, FITS_TOO = 3.0, 2.0
+"""If the contact's center is further than this (texture pixels) from where the texture was found, the texture is also
+searched for there. It fits at both places unless its lack of correlation is larger at one by this factor."""
 ACCELERATION_DEG_S2 = 20_000.0
 """Largest assumed acceleration of an object that rotates between two frames: a rod of 8 cm that is held at its end
 without any force reaches half of it. Teeth as fine as 26 are counted across one lost frame at 60 Hz, not at 30 Hz."""
@@ -178,7 +181,7 @@ class TextureTracker:
 
     def _try_everywhere(self, texture_map: TextureMap, patch: Patch, predicted_deg: float) -> TrackedTexture:
         first = self._first
-        x, y = (at / REDUCTION - center for at, center in zip(patch.center_px, first.center_px, strict=True))
+        x, y = _moved_px(patch, first)
         starts = [replace(self._pose, rotation_deg=predicted_deg)]
         starts += [TexturePose(found_deg, x, y) for found_deg in likely_rotations_deg(first, texture_map, (x, y))]
         fits = sorted((fit_texture(first, texture_map, start) for start in starts), key=lambda fit: -fit.alike)
@@ -243,6 +246,7 @@ class TextureTracker:
         if start is None:
             start = self._uneven_pose or replace(self._pose, rotation_deg=predicted_deg)
         fit = fit_texture(self._first, texture_map, start)
+        fit = self._fit_from_center(texture_map, patch, fit)
         # A prediction goes on at the last known rate: after some declined frames it may be at the next of many rays.
         self._uneven_pose = fit.pose if fit.uneven > UNEVEN_MAX and fit.alike >= ALIKE_MIN else None
         if fit.declined is None and fit.alike > MEMORY_ALIKE:
@@ -269,6 +273,23 @@ class TextureTracker:
         if take_key:
             self.take_key_if_due(texture_map, patch, found)
         return found
+
+    def _fit_from_center(self, texture_map: TextureMap, patch: Patch, fit: TextureFit) -> TextureFit:
+        """Search again from the contact's center if the fit is away from it; return the better fit, with both in sigma.
+
+        A bowed edge that slides along itself while it rotates hardly changes: it fits at several rotations.
+        """
+        x, y = _moved_px(patch, self._first)
+        if self.round or math.hypot(x - fit.pose.dx_px, y - fit.pose.dy_px) < CENTER_PX:
+            return fit
+        second = fit_texture(self._first, texture_map, replace(fit.pose, dx_px=x, dy_px=y))
+        left, second_left = 1.0 - fit.alike, 1.0 - second.alike
+        if second.declined is not None or second_left > FITS_TOO * left:
+            return fit
+        if left > FITS_TOO * second_left:
+            return second
+        apart_deg = fit.pose.rotation_deg - second.pose.rotation_deg
+        return replace(fit, spread_deg=math.hypot(fit.spread_deg, apart_deg))
 
     def _may_be_next_period(self, by_deg: float, gap_deg: float) -> bool:
         """Return whether a periodic texture, found `by_deg` from where it was expected, may be a period further on."""
@@ -346,6 +367,12 @@ def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float
     begun_deg = max(unexpected_deg - UNEXPECTED_FREE_DEG, 0.0)
     lag_deg_s = min(math.sqrt(2.0 * ACCELERATION_DEG_S2 * begun_deg), 0.5 * ACCELERATION_DEG_S2 * gap_s)
     return max(abs(rate_deg_s) * gap_s, lag_deg_s * gap_s + 0.5 * ACCELERATION_DEG_S2 * gap_s**2)
+
+
+def _moved_px(patch: Patch, first: TextureTemplate) -> tuple[float, float]:
+    """Return how far the contact's center has moved, texture pixels right and down."""
+    (x, y), (before_x, before_y) = patch.center_px, first.center_px
+    return x / REDUCTION - before_x, y / REDUCTION - before_y
 
 
 def _reaches_next(by_deg: float, gap_deg: float, period: float) -> bool:
