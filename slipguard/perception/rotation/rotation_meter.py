@@ -36,6 +36,8 @@ without a background image: force changes their contour in other ways than a rot
 TWIST_S = 0.25
 """A middle that has rotated differently counts for this long if the rest then follows it: the object has rotated
 further than what is seen, although nothing shows it any more."""
+REST_DEG_S = 5.0
+"""Time at rest does not count: below this rate nothing moves that could show how far the object has rotated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -342,13 +344,17 @@ class RotationMeter:
         return RotationMeasurement(rotation, reference.shift.at_axis(contact_shift, self._tracker.last_deg), axes)
 
     def _lasting_twist_deg(self, now_s: float, twist_deg: float, rotation_deg: float | None) -> float:
-        """Return the largest twist within `TWIST_S`; an earlier one counts up to the rotation since then."""
+        """Return the largest twist within `TWIST_S` of motion; an earlier one counts up to the rotation since then."""
         if rotation_deg is None:
             return twist_deg
-        recent = self._twists
-        while recent and not 0.0 <= now_s - recent[0][0] <= TWIST_S:
-            recent.popleft()
-        recent.append((now_s, twist_deg, rotation_deg))
+        recent, rate_deg_s = self._twists, self._tracker.rate_deg_s(now_s)
+        if recent and rate_deg_s is not None and abs(rate_deg_s) < REST_DEG_S:
+            rested_s = now_s - recent[-1][0]
+            recent = self._twists = deque((then_s + rested_s, twist, then_deg) for then_s, twist, then_deg in recent)
+        else:
+            while recent and not 0.0 <= now_s - recent[0][0] <= TWIST_S:
+                recent.popleft()
+            recent.append((now_s, twist_deg, rotation_deg))
         return max(twist_deg, *(min(twist, abs(rotation_deg - then_deg)) for _, twist, then_deg in recent))
 
     def _note_gap(self, now_s: float) -> None:

@@ -78,6 +78,12 @@ def test_what_has_slipped_or_rolled_unseen_stays_in_sigma(effect: EffectName, ca
     assert max(errors_sigma) < 3.0
 
 
+def test_a_middle_that_has_lagged_stays_in_sigma_while_the_object_rests() -> None:
+    errors_deg, errors_sigma = errors("partial slip", "hook", 31548, 9.0)
+    assert len(errors_deg) >= 28
+    assert max(errors_sigma) < 3.0
+
+
 def test_a_bowed_edge_that_slides_along_itself_is_searched_from_its_center_too() -> None:
     """Tilted back, a knife's edge was found 2 mm further along its bow, 2.7 degrees off at a sigma of 0.3."""
     errors_deg, errors_sigma = errors("rocking", "knife_edge", 31036, 8.0)
