@@ -1,7 +1,8 @@
 """What the controller commands, reports and enters: every phase, every request and everything that can go wrong.
 
-`PYTHONPATH=tests/unit python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line;
-review the diff before you commit them. Slip detection and the response to it have tests of their own.
+`PYTHONPATH=tests/unit python tests/unit/control/golden_cases.py` rewrites `golden/<phase>.txt`, a case in each line,
+and `golden/<phase>_texts.txt`, all messages and refusals in these cases; review the diff before you commit them. Slip
+detection and the response to it have tests of their own.
 """
 
 from __future__ import annotations
@@ -164,9 +165,9 @@ def moment(phase: Phase, now_s: float) -> Observation:
     )
 
 
-def cases(phase: Phase) -> list[str]:
-    """A line for each case: its name, then what follows in each of four steps; "." where nothing does."""
-    lines = []
+def cases(phase: Phase) -> tuple[list[str], list[str]]:
+    """Lines and texts: a case's name, then what follows in each of four steps, "." where nothing does; all messages."""
+    lines, texts = [], set()
     for name, params, changes, view, request, step_s in stories():
         closed = phase in AT_STAKE - {Phase.CLOSING} or phase is Phase.FAULT
         state = ControlState(
@@ -179,8 +180,10 @@ def cases(phase: Phase) -> list[str]:
             before = state.grasp
             state, output = control_step(state, observation, params)
             steps.append(" ".join([*_entered(before, state.grasp), *_output(output)]) or ".")
+            said = [*output.messages, *([output.refusal] if output.refusal is not None else [])]
+            texts |= {f"{message.name}: {message.text}" for message in said}
         lines.append(f"{name}: {' | '.join(steps)}")
-    return lines
+    return lines, sorted(texts)
 
 
 def _entered(before: GraspState, after: GraspState) -> Iterator[str]:
@@ -222,7 +225,8 @@ def write() -> None:
     """Rewrite the golden files."""
     FOLDER.mkdir(exist_ok=True)
     for phase in Phase:
-        (FOLDER / f"{phase}.txt").write_text("".join(f"{line}\n" for line in cases(phase)), encoding="utf-8")
+        for name, lines in zip((phase, f"{phase}_texts"), cases(phase), strict=True):
+            (FOLDER / f"{name}.txt").write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import unified_diff
+
 import pytest
 from golden_cases import FOLDER, cases
 
@@ -10,8 +12,10 @@ from slipguard.control.state import Phase
 
 @pytest.mark.parametrize("phase", Phase)
 def test_every_case_is_as_in_the_golden_file(phase: Phase) -> None:
-    kept = (FOLDER / f"{phase}.txt").read_text(encoding="utf-8").splitlines()
-    different = [f"- {old}\n+ {new}" for old, new in zip(kept, cases(phase), strict=True) if old != new]
+    different = []
+    for name, found in zip((phase, f"{phase}_texts"), cases(phase), strict=True):
+        kept = (FOLDER / f"{name}.txt").read_text(encoding="utf-8").splitlines()
+        different += [*unified_diff(kept, found, n=0, lineterm="")]
     assert not different, (
         "the controller has changed; if intended: `PYTHONPATH=tests/unit python tests/unit/control/golden_cases.py` "
         "and review the diff:\n" + "\n".join(different[:20])
