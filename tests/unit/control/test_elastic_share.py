@@ -8,7 +8,7 @@ from observations import fused, gripper, guard_params
 from records import changed
 
 from slipguard.control import needed_force as need
-from slipguard.control.elastic_share import NO_SHARE, ElasticShare, GrowingLoad, elastic_share, growing_load
+from slipguard.control.elastic_share import GROWS_MM, NO_SHARE, ElasticShare, GrowingLoad, elastic_share, growing_load
 from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.control.messages import Observation
 from slipguard.control.needed_force import FRICTION_PRIOR, ElasticMotion, LogNormal
@@ -89,6 +89,7 @@ def test_a_load_that_grows_is_answered_before_slip() -> None:
     assert "the load grows: from 0.40 to 0.80 of the elastic limit, soon 1.20: load" in response.message.text
     assert "tightening from 40 N to" in response.message.text
     assert (response.state.held.growing, response.state.held.raised_from_n) == (None, 40.0)
+    assert response.state.grip.commanded_s == NOW_S
     assert response.state.held.slip is None
     assert not response.stop_arm
 
@@ -115,6 +116,7 @@ def test_a_pure_slide_is_answered_in_proportion() -> None:
     [
         (state(), view(0.45)),
         (state(), view(0.8, 0.1)),
+        (state(), view(0.8, 0.3)),
         (state(GrowingLoad(NOW_S - 0.04, 0.4, 0.4 * LIMIT.deg, 0.0)), view()),
         (state(GrowingLoad(NOW_S - 0.2, 0.4, 0.8 * LIMIT.deg - 0.1, 0.0)), view()),
         (state(GrowingLoad(NOW_S - 0.2, 0.95, 0.4 * LIMIT.deg, 0.0)), view(0.99, 9.0)),
@@ -126,12 +128,33 @@ def test_a_pure_slide_is_answered_in_proportion() -> None:
         (state(None), view()),
     ],
     ids=[
-        "far below the limit", "slow", "short", "noise", "creep", "not felt yet", "no gripper", "tightening",
-        "person near", "no force range", "just begun",
+        "far below the limit", "slow", "not soon", "short", "noise", "creep", "not felt yet", "no gripper",
+        "tightening", "person near", "no force range", "just begun",
     ],
 )  # fmt: skip
 def test_it_waits(grasp: GraspState, observation: Observation) -> None:
     assert respond(grasp, observation).hold_n is None
+
+
+def test_growth_begins_with_what_is_seen_then() -> None:
+    seen = fused(0.6 * LIMIT.deg, 2.0 * LIMIT.deg, at_s=NOW_S, shift_mm=0.5 * LIMIT.mm, sigma_deg=0.1)
+    memory = changed(HANGS, smooth_mm=0.5 * LIMIT.mm)
+    growing = respond(state(None, memory=memory), view(fused=seen)).state.held.growing
+    assert growing is not None
+    assert (growing.began_s, growing.from_deg) == (NOW_S, pytest.approx(0.6 * LIMIT.deg))
+    assert growing.from_mm == pytest.approx(0.5 * LIMIT.mm)
+
+
+def test_a_rotation_within_its_uncertainty_is_no_growth() -> None:
+    uncertain = changed(view(), sigma_deg=0.4 * LIMIT.deg)
+    assert respond(state(), uncertain).hold_n is None
+
+
+def test_a_slide_counts_from_where_the_growth_began() -> None:
+    seen = fused(0.0, 0.0, at_s=NOW_S, shift_mm=0.9 * LIMIT.mm, sigma_deg=0.1)
+    memory = changed(HANGS, smooth_mm=0.6 * LIMIT.mm)
+    grasp = state(GrowingLoad(NOW_S - 0.2, 0.4, 0.0, 0.9 * LIMIT.mm - 0.5 * GROWS_MM), memory=memory)
+    assert respond(grasp, view(fused=seen)).hold_n is None
 
 
 def test_at_the_force_limit_nothing_is_left_to_raise() -> None:
