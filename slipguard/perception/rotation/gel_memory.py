@@ -37,11 +37,12 @@ class ImprintMemory:
     def __init__(self) -> None:
         self._share = 0.0
         self._sigma = SHARE_STD
+        self._shown = False
         self._farthest_deg = 0.0
 
     @property
     def certain(self) -> bool:
-        return self._share > max(SHARE_MIN, CERTAIN_SIGMAS * self._sigma)
+        return self._shown and self._share > max(SHARE_MIN, CERTAIN_SIGMAS * self._sigma)
 
     @property
     def too_strong(self) -> bool:
@@ -55,6 +56,7 @@ class ImprintMemory:
         """Take a frame's registration into account."""
         if not math.isfinite(ghost.sigma):
             return
+        self._shown = self._shown or ghost.shown
         gain = self._sigma**2 / (self._sigma**2 + ghost.sigma**2)
         self._share += gain * (ghost.share - self._share)
         self._sigma = min(math.hypot(math.sqrt(gain) * ghost.sigma, DRIFT), SHARE_STD)
@@ -62,12 +64,20 @@ class ImprintMemory:
     def corrected(self, rotation_deg: float, sigma_deg: float, ghost: Ghost) -> RotationEstimate:
         """Return a rotation corrected for memory that is certain; memory that is only possible widens sigma."""
         self._farthest_deg = max(self._farthest_deg, abs(rotation_deg))
-        limit = CORRECTION_MAX * abs(rotation_deg)
-        correction = min(max(ghost.pull_deg * max(self._share, 0.0), -limit), limit)
-        spread = min(SPREAD_SHARE * abs(ghost.pull_deg) * self._sigma, limit)
+        correction, spread = self._correction_deg(rotation_deg, ghost)
         if not self.certain:
-            possible = min(math.hypot(spread, correction), UNCERTAIN_MAX * abs(rotation_deg))
-            return RotationEstimate(rotation_deg, math.hypot(sigma_deg, possible))
+            return RotationEstimate(rotation_deg, math.hypot(sigma_deg, self.possible_deg(rotation_deg, ghost)))
         past = PAST_SHARE * self._share * self._farthest_deg
         sigma_deg = math.hypot(sigma_deg, spread, CORRECTION_SHARE * correction, past)
         return RotationEstimate(rotation_deg + correction, sigma_deg)
+
+    def possible_deg(self, rotation_deg: float, ghost: Ghost) -> float:
+        """Return the sigma by memory that is only possible; 0 if it is certain."""
+        possible = math.hypot(*self._correction_deg(rotation_deg, ghost))
+        return 0.0 if self.certain else min(possible, UNCERTAIN_MAX * abs(rotation_deg))
+
+    def _correction_deg(self, rotation_deg: float, ghost: Ghost) -> tuple[float, float]:
+        """Return the correction and its sigma."""
+        limit = CORRECTION_MAX * abs(rotation_deg)
+        correction = min(max(ghost.pull_deg * max(self._share, 0.0), -limit), limit)
+        return correction, min(SPREAD_SHARE * abs(ghost.pull_deg) * self._sigma, limit)

@@ -241,13 +241,13 @@ class RotationMeter:
                 contact.texture_map, patch, predicted_deg, found, shape, contour.shift_px
             )
         timer.mark("relief")
-        uneven_deg = 0.0 if found is None else found.uneven_deg
+        shared_deg = 0.0 if found is None else found.shared_deg
         rotation = fuse_rotation(
             None if found is None else found.rotation,
-            by_contour.widened(uneven_deg),
-            contour.axis.widened(uneven_deg) if self._fuses_axis else None,
+            by_contour.widened(shared_deg),
+            contour.axis.widened(shared_deg) if self._fuses_axis else None,
             1.0 if found is None else found.deformation,
-            uneven_deg,
+            shared_deg,
         )
         return _Fused(rotation, found, contour.shift_px, axes, False)
 

@@ -57,6 +57,9 @@ its value; and its own unmoved image. All weighted sums follow from one table of
 GHOST_SIGMA_MIN = 0.01
 GHOST_VISIBLE_MIN = 1e-4
 """Part of the unmoved reference's square that no motion explains, below which a ghost looks like motion."""
+GHOST_SHOWN_MIN = 0.01
+"""The same, above which it is surely none: below, interpolation adds to it. A share of 0.65 reads 1.2 at 0.002, 0.8 at
+0.01, and 0.66 from 0.1 on."""
 GHOST_SIGMAS = 3.0
 """A ghost above this many of its sigmas is not taken for deformation."""
 UNEVEN_CHANCE = 24.0
@@ -99,12 +102,13 @@ class Ghost:
 
     share: its amplitude relative to that of the fitted texture, with one standard deviation: the same before and after
     the two come apart. pull_deg: by how much a ghost of share 1 changes the rotation that a fit without a ghost finds,
-    to first order.
+    to first order. shown: whether the texture has moved enough for a ghost to be no motion and no interpolation.
     """
 
     share: float
     sigma: float
     pull_deg: float
+    shown: bool = True
 
 
 NO_GHOST = Ghost(0.0, math.inf, 0.0)
@@ -366,7 +370,7 @@ def find_ghost(products: NDArray[np.float64], mass: float) -> tuple[Ghost, float
         return Ghost(0.0, math.inf, pull_deg), bias
     left2 = max(float(products[_DIFFERENCE, _DIFFERENCE]) - found**2 / square, 0.0) / max(mass, 1e-9)
     sigma = max(math.sqrt(_CORRELATED * left2 / square), GHOST_SIGMA_MIN)
-    return Ghost(found / square, sigma, pull_deg), bias
+    return Ghost(found / square, sigma, pull_deg, square > GHOST_SHOWN_MIN * whole), bias
 
 
 def sigma_deg(fit: TextureFit) -> float:

@@ -75,7 +75,7 @@ class TrackedTexture:
 
     shift_px: frame pixels right and down. deformation: factor on sigmas; 1 if the contact has not deformed.
     smooth: the direction (right, down; of length 1) along which the texture shows no shift; None if there is none.
-    uneven_deg: sigma by uneven deformation, which the contour has as well.
+    shared_deg: sigma by uneven deformation and by memory that is only possible, which the contour has as well.
     twist_deg: sigma by a middle that has rotated differently, which the contour has as well; not part of `rotation`.
     lean: how much stronger the reference's texture has become on one side; 0 if unknown.
     fit: its registration to the reference; None if a key was used.
@@ -85,7 +85,7 @@ class TrackedTexture:
     deformation: float
     shift_px: tuple[float, float] | None = None
     smooth: tuple[float, float] | None = None
-    uneven_deg: float = 0.0
+    shared_deg: float = 0.0
     twist_deg: float = 0.0
     lean: float = 0.0
     fit: TextureFit | None = None
@@ -191,7 +191,7 @@ class TextureTracker:
             if best.declined is None and apart_deg > 0.5 * APART_DEG and other.alike > best.alike - UNIQUE:
                 detail = f"{best.pose.rotation_deg:+.0f} and {other.pose.rotation_deg:+.0f} deg"
                 several = RotationEstimate(None, None, explain(DeclineReason.SEVERAL_ROTATIONS, detail))
-                return TrackedTexture(several, 1.0, uneven_deg=best.uneven_deg, twist_deg=best.twist_deg)
+                return TrackedTexture(several, 1.0, shared_deg=best.uneven_deg, twist_deg=best.twist_deg)
         near_deg = predicted_deg + math.remainder(best.pose.rotation_deg - predicted_deg, 360.0)
         found = self._tracked(first, best, (best.pose.dx_px, best.pose.dy_px), near_deg, 0.0)
         if found.rotation.rotation_deg is not None:
@@ -339,7 +339,7 @@ class TextureTracker:
             return TrackedTexture(RotationEstimate(None, None, template.round_reason), 1.0, shift)
         if fit.declined is not None:
             no_rotation = TrackedTexture(RotationEstimate(None, None, fit.declined), fit.deformation)
-            return replace(no_rotation, uneven_deg=fit.uneven_deg, twist_deg=fit.twist_deg, lean=fit.lean)
+            return replace(no_rotation, shared_deg=fit.uneven_deg, twist_deg=fit.twist_deg, lean=fit.lean)
         if self._memory.too_strong:
             detail = f"share {self._memory.share:.2f}, limit {SHARE_MAX:g}"
             return TrackedTexture(RotationEstimate(None, None, explain(DeclineReason.GEL_MEMORY, detail)), 1.0)
@@ -347,11 +347,13 @@ class TextureTracker:
         if self._first.smooth is not None:  # a shift invisible at the reference is invisible by any key
             smooth = rotated(self._first.smooth, rotation_deg)
         rotation = RotationEstimate(rotation_deg, math.hypot(key_sigma_deg, sigma_deg(fit)))
+        shared_deg = fit.uneven_deg
         if template is self._first:
             if self._memory.certain:  # it explains the static pattern, and the rotation is corrected for it
                 fit = replace(fit, static_bias_deg=0.0)
             rotation = self._memory.corrected(rotation_deg, sigma_deg(fit), fit.ghost)
-        return TrackedTexture(rotation, fit.deformation, shift, smooth, fit.uneven_deg, fit.twist_deg, fit.lean)
+            shared_deg = math.hypot(shared_deg, self._memory.possible_deg(rotation_deg, fit.ghost))
+        return TrackedTexture(rotation, fit.deformation, shift, smooth, shared_deg, fit.twist_deg, fit.lean)
 
 
 def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float = 0.0) -> float:
