@@ -36,7 +36,7 @@ def test_within_the_tolerance_the_object_stays_settled_where_it_was() -> None:
 
 
 @pytest.mark.parametrize("there", [seen(3.1 + TOLERANCE_DEG), seen(shift_mm=0.9), seen(side_mm=0.2)])
-def test_beyond_the_tolerance_it_settles_anew(there: FusedEstimate) -> None:
+def test_beyond_the_tolerance_it_settles_there(there: FusedEstimate) -> None:
     found = SETTLED.with_settled(there, PARAMS)
     assert (found.settled_deg, found.settled_mm) == (there.rotation_deg, there.shift_mm)
     assert (found.settled_side_mm, found.settled_since_s) == (there.sideways_mm, NOW_S)
