@@ -14,6 +14,8 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
@@ -52,6 +54,9 @@ RETRY_DEG = 4.0
 CENTER_PX, FITS_TOO = 3.0, 2.0
 """If the contact's center is further than this (texture pixels) from where the texture was found, the texture is also
 searched for there. It fits at both places unless its lack of correlation is larger at one by this factor."""
+BOWED_MAX = 0.3
+"""A texture is that of a bowed edge if a rotation with some shift changes it by less than this share (of squares) of
+what the two change alone: 0.09 to 0.26 for a bowed knife, 0.25 to 0.4 for rods, 0.4 to 1 for most others."""
 ACCELERATION_DEG_S2 = 20_000.0
 """Largest assumed acceleration of an object that rotates between two frames: a rod of 8 cm that is held at its end
 without any force reaches half of it. Teeth as fine as 26 are counted across one lost frame at 60 Hz, not at 30 Hz."""
@@ -246,7 +251,7 @@ class TextureTracker:
         if start is None:
             start = self._uneven_pose or replace(self._pose, rotation_deg=predicted_deg)
         fit = fit_texture(self._first, texture_map, start)
-        fit = self._fit_from_center(texture_map, patch, fit)
+        fit = self._fit_elsewhere(texture_map, patch, fit)
         # A prediction goes on at the last known rate: after some declined frames it may be at the next of many rays.
         self._uneven_pose = fit.pose if fit.uneven > UNEVEN_MAX and fit.alike >= ALIKE_MIN else None
         if fit.declined is None and fit.alike > MEMORY_ALIKE:
@@ -274,22 +279,33 @@ class TextureTracker:
             self.take_key_if_due(texture_map, patch, found)
         return found
 
-    def _fit_from_center(self, texture_map: TextureMap, patch: Patch, fit: TextureFit) -> TextureFit:
-        """Search again from the contact's center if the fit is away from it; return the better fit, with both in sigma.
+    def _fit_elsewhere(self, texture_map: TextureMap, patch: Patch, fit: TextureFit) -> TextureFit:
+        """Search again where the contact's center is, and a bowed edge also where it was; return the better fit.
 
-        A bowed edge that slides along itself while it rotates hardly changes: it fits at several rotations.
+        A bowed edge that slides along itself while it rotates hardly changes: it fits at several rotations, of which
+        sigma covers all.
         """
-        x, y = _moved_px(patch, self._first)
-        if self.round or math.hypot(x - fit.pose.dx_px, y - fit.pose.dy_px) < CENTER_PX:
+        if self.round:
             return fit
-        second = fit_texture(self._first, texture_map, replace(fit.pose, dx_px=x, dy_px=y))
-        left, second_left = 1.0 - fit.alike, 1.0 - second.alike
-        if second.declined is not None or second_left > FITS_TOO * left:
-            return fit
-        if left > FITS_TOO * second_left:
-            return second
-        apart_deg = fit.pose.rotation_deg - second.pose.rotation_deg
-        return replace(fit, spread_deg=math.hypot(fit.spread_deg, apart_deg))
+        starts = [_moved_px(patch, self._first), (0.0, 0.0)] if self._bowed else [_moved_px(patch, self._first)]
+        for x, y in starts:
+            if math.hypot(x - fit.pose.dx_px, y - fit.pose.dy_px) < CENTER_PX:
+                continue
+            second = fit_texture(self._first, texture_map, replace(fit.pose, dx_px=x, dy_px=y))
+            left, second_left = 1.0 - fit.alike, 1.0 - second.alike
+            if second.declined is not None or second_left > FITS_TOO * left:
+                continue
+            apart_deg = fit.pose.rotation_deg - second.pose.rotation_deg
+            clearly = left > FITS_TOO * second_left
+            fit = second if clearly else replace(fit, spread_deg=math.hypot(fit.spread_deg, apart_deg))
+        return fit
+
+    @cached_property
+    def _bowed(self) -> bool:
+        """Whether the texture hardly changes if it slides along itself while it rotates."""
+        products = (self._first.motion[:3] @ self._first.motion[:3].T).astype(np.float64)
+        size = np.sqrt(products.diagonal()) + 1e-9
+        return self._first.smooth is None and bool(np.linalg.eigvalsh(products / size[:, None] / size)[0] < BOWED_MAX)
 
     def _may_be_next_period(self, by_deg: float, gap_deg: float) -> bool:
         """Return whether a periodic texture, found `by_deg` from where it was expected, may be a period further on."""

