@@ -210,7 +210,7 @@ class RotationMeter:
         texture, texture_map = reference.texture, contact.texture_map
         if texture is None or texture_map is None:
             return None
-        if contact.lost and not texture.round and texture.period_deg is None:
+        if (contact.lost or texture.ambiguous) and not (texture.round or texture.repeats):
             return texture.search_everywhere(texture_map, contact.patch, contact.predicted_deg, contact.now_s)
         return texture.track(texture_map, contact.patch, contact.predicted_deg, axis)
 

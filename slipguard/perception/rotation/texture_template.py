@@ -39,6 +39,9 @@ PERIOD_POINTS = 600
 PERIODIC_SHARE = 0.33
 """A texture is periodic if its mean square difference from itself falls below this share of the highest. Teeth and
 regular polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square's edge, at 90 degrees) and more."""
+SIMILAR_SHARE = 0.5
+"""The same for a texture that is only similar to itself: 0.35-0.47 for a nut of which not all edges touch, a cross and
+four pins; 0.53 and more for contacts that are not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,10 +136,11 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
     )
 
 
-def period_deg(template: TextureTemplate) -> float | None:
+def period_deg(template: TextureTemplate, share: float = PERIODIC_SHARE) -> float | None:
     """Return the smallest rotation after which the texture repeats, degrees, to a degree or two; None: not periodic.
 
-    That is where it differs least from itself after it has differed more, up to `PERIOD_MAX_DEG`.
+    That is where it differs least from itself after it has differed more, up to `PERIOD_MAX_DEG`. share: of that larger
+    difference, below which it counts as repeated.
     """
     some = slice(None, None, max(template.value.size // PERIOD_POINTS, 1))
     dx, dy, value = template.x_px[some], template.y_px[some], template.value[some]
@@ -151,7 +155,7 @@ def period_deg(template: TextureTemplate) -> float | None:
     for rotation_deg, square in zip(rotations_deg, np.einsum("ij,ij->i", away, away).tolist(), strict=True):
         if found is not None and square >= found[0]:
             break
-        if square < PERIODIC_SHARE * highest:
+        if square < share * highest:
             found = square, float(rotation_deg)
         highest = max(highest, square)
     return None if found is None else found[1]

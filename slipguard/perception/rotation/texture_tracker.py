@@ -33,6 +33,7 @@ from slipguard.perception.rotation.texture_registration import (
 )
 from slipguard.perception.rotation.texture_template import (
     PERIOD_STEP_DEG,
+    SIMILAR_SHARE,
     TextureTemplate,
     make_texture_template,
     period_deg,
@@ -139,8 +140,13 @@ class TextureTracker:
 
     @cached_property
     def period_deg(self) -> float | None:
-        """The rotation after which the texture repeats, None if it does not."""
-        return period_deg(self._first)
+        """The rotation after which the texture repeats or is similar to itself, None if there is none."""
+        return period_deg(self._first, SIMILAR_SHARE)
+
+    @cached_property
+    def repeats(self) -> bool:
+        """Whether the texture repeats, so that only the axis tells the periods apart."""
+        return self.period_deg is not None and period_deg(self._first) is not None
 
     def note_gap(self, gap_s: float, rate_deg_s: float, unexpected_deg: float) -> None:
         """Note the time since the rotation was last known, its rate then, and how much the last one was unexpected."""
@@ -200,7 +206,7 @@ class TextureTracker:
         near_deg = predicted_deg + math.remainder(best.pose.rotation_deg - predicted_deg, 360.0)
         found = self._tracked(first, best, (best.pose.dx_px, best.pose.dy_px), near_deg, 0.0)
         if found.rotation.rotation_deg is not None:
-            self._pose, self._uneven_pose = best.pose, None
+            self._pose, self._uneven_pose, self.ambiguous = best.pose, None, False
         return found
 
     def track_again(

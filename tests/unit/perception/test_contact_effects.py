@@ -67,6 +67,14 @@ def test_rays_on_a_rim_are_not_taken_for_the_next_ones_after_frames_that_deform(
     assert max(errors_sigma) < 3.0
 
 
+@pytest.mark.parametrize("seed", [40939, 41739])
+def test_the_sixths_of_a_nut_are_counted_however_lightly_it_is_pressed(seed: int) -> None:
+    """Some of its six edges touch less: it was not taken for periodic, and was 60 degrees off after declined frames."""
+    errors_deg, errors_sigma = errors("periodic", "nut", seed, 7500.0)
+    assert len(errors_deg) >= 9
+    assert max(errors_sigma) < 3.0
+
+
 @pytest.mark.parametrize(("effect", "case"), [("partial slip", "hook"), ("rocking", "banana"), ("rocking", "key")])
 def test_a_middle_that_slips_and_a_body_that_rolls_are_within_sigma(effect: EffectName, case: str) -> None:
     errors_deg, errors_sigma = errors(effect, case, 500)

@@ -102,7 +102,7 @@ def test_of_the_test_objects_only_the_ribbed_ones_are_periodic(name: str, repeat
     reference = pipe._meter.reference
     assert reference is not None
     assert reference.texture is not None
-    assert (reference.texture.period_deg is not None) == repeats
+    assert reference.texture.repeats == repeats
 
 
 def test_possible_rotation_in_a_gap() -> None:
