@@ -271,7 +271,8 @@ class RotationMeter:
         texture_map = self._read_texture(reference, image, patch)
         if texture_map is None or (reference.texture.ambiguous and not reference.texture.round):
             return None
-        found = reference.texture.track(texture_map, patch, predicted_deg, RotationEstimate(None, None), take_key=False)
+        no_axis = RotationEstimate(None, None)
+        found = reference.texture.track(texture_map, patch, predicted_deg, no_axis, own_patch=False)
         self._tried = now_s, texture_map, found
         rotation = before.rotation_in(found, now_s)
         if rotation is None:

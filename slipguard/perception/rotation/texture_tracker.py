@@ -160,18 +160,19 @@ class TextureTracker:
         patch: Patch,
         predicted_deg: float,
         axis: RotationEstimate,
-        take_key: bool = True,
+        own_patch: bool = True,
     ) -> TrackedTexture:
         """Return the rotation since the reference, searched near the predicted one, or near the axis if ambiguous.
 
-        take_key: this may become the key; not if the patch is an earlier frame's.
+        own_patch: not that of an earlier frame: only then the texture may become the key, and each texture is searched
+            at the patch's center, too.
         """
         if self.round or not self.ambiguous:
-            return self._search(texture_map, patch, predicted_deg, None, self._gap_deg, take_key)
+            return self._search(texture_map, patch, predicted_deg, None, self._gap_deg, own_patch)
         period = self.period_deg or 0.0
         if axis.rotation_deg is None or axis.sigma_deg is None or AGREE_SIGMAS * axis.sigma_deg >= 0.5 * period:
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
-        found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0, take_key)
+        found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0, own_patch)
         self.ambiguous = found.rotation.rotation_deg is None
         return found
 
@@ -251,13 +252,14 @@ class TextureTracker:
         predicted_deg: float,
         start: TexturePose | None,
         gap_deg: float,
-        take_key: bool = True,
+        own_patch: bool = True,
     ) -> TrackedTexture:
         """Register to the reference, or to the key if that is better. start: other than the last pose."""
         if start is None:
             start = self._uneven_pose or replace(self._pose, rotation_deg=predicted_deg)
         fit = fit_texture(self._first, texture_map, start)
-        fit = self._fit_elsewhere(texture_map, patch, fit)
+        if own_patch or self._bowed:
+            fit = self._fit_elsewhere(texture_map, patch, fit)
         # A prediction goes on at the last known rate: after some declined frames it may be at the next of many rays.
         self._uneven_pose = fit.pose if fit.uneven > UNEVEN_MAX and fit.alike >= ALIKE_MIN else None
         if fit.declined is None and fit.alike > MEMORY_ALIKE:
@@ -281,7 +283,7 @@ class TextureTracker:
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         self._pose = TexturePose(rotation, shift[0], shift[1]) if by_key else fit.pose
-        if take_key:
+        if own_patch:
             self.take_key_if_due(texture_map, patch, found)
         return found
 
