@@ -145,7 +145,7 @@ class TextureTracker:
 
     @cached_property
     def repeats(self) -> bool:
-        """Whether the texture repeats, so that only the axis tells the periods apart."""
+        """Whether the texture repeats, so that only the axis can distinguish the periods."""
         return self.period_deg is not None and period_deg(self._first) is not None
 
     def note_gap(self, gap_s: float, rate_deg_s: float, unexpected_deg: float) -> None:
@@ -295,7 +295,9 @@ class TextureTracker:
         """
         if self.round:
             return fit
-        starts = [_moved_px(patch, self._first), (0.0, 0.0)] if self._bowed else [_moved_px(patch, self._first)]
+        starts = [_moved_px(patch, self._first)]
+        if self._bowed:
+            starts.append((0.0, 0.0))
         for x, y in starts:
             if math.hypot(x - fit.pose.dx_px, y - fit.pose.dy_px) < CENTER_PX:
                 continue
