@@ -102,8 +102,9 @@ class SimulatedDaemon:
         wait_until(reached, f"phase {phase}", within_s)
 
     def release(self) -> None:
-        """Open the jaws, and wait until the next object can be gripped."""
+        """Open the jaws, and wait until the next object can be gripped; start the daemon if a test has ended it."""
         if self._process is None or self._process.poll() is not None:
+            self.start()
             return
         state = self.state()
         if state["phase"] != "idle" or state["gripper"]["width_mm"] < 60.0:
