@@ -68,7 +68,7 @@ class Reference:
         """Compute one thing that later frames may need, if any is missing; called in frames that take little time."""
         things = (
             (self.shift, "period"),
-            (self.texture, "period_deg"),
+            (self.texture and self.texture.periods, "found"),
             (self.contour, "template"),
             (self, "axes"),
         )

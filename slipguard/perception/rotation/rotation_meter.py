@@ -210,7 +210,7 @@ class RotationMeter:
         texture, texture_map = reference.texture, contact.texture_map
         if texture is None or texture_map is None:
             return None
-        if (contact.lost or texture.ambiguous) and not (texture.round or texture.repeats):
+        if (contact.lost or texture.periods.ambiguous) and not (texture.round or texture.periods.repeats):
             return texture.search_everywhere(texture_map, contact.patch, contact.predicted_deg, contact.now_s)
         return texture.track(texture_map, contact.patch, contact.predicted_deg, axis)
 
@@ -232,7 +232,7 @@ class RotationMeter:
         near_deg = predicted_deg if texture is None or texture.rotation_deg is None else texture.rotation_deg
         contour = reference.contour.measure(patch, axis, near_deg, contact.center_shift_px, from_axis=not certain)
         by_contour = contour.rotation
-        if reference.texture is not None and reference.texture.ambiguous and axis.rotation_deg is None:
+        if reference.texture is not None and reference.texture.periods.ambiguous and axis.rotation_deg is None:
             by_contour = RotationEstimate(None, None, DeclineReason.PERIOD_AMBIGUOUS)  # a nut's contour repeats too
         timer.mark("register")
         if found is not None and contact.texture_map is not None and reference.texture is not None and not contact.lost:
@@ -269,7 +269,7 @@ class RotationMeter:
         predicted_deg = self._predicted_deg(reference, now_s)
         self._note_gap(now_s)
         texture_map = self._read_texture(reference, image, patch)
-        if texture_map is None or (reference.texture.ambiguous and not reference.texture.round):
+        if texture_map is None or (reference.texture.periods.ambiguous and not reference.texture.round):
             return None
         no_axis = RotationEstimate(None, None)
         found = reference.texture.track(texture_map, patch, predicted_deg, no_axis, own_patch=False)
@@ -310,7 +310,7 @@ class RotationMeter:
         """Return the expected rotation; where periods are counted, by the newest rate, which lags least."""
         if now_s == self._tracker.known_at_s:  # the reference's own frame; the search for a period can wait
             return self._tracker.predicted_deg(now_s)
-        if reference.texture is None or reference.texture.period_deg is None:
+        if reference.texture is None or reference.texture.periods.period_deg is None:
             return self._tracker.predicted_deg(now_s)
         return self._tracker.extrapolated_deg(now_s)
 
@@ -362,8 +362,8 @@ class RotationMeter:
         """Pass on the time since the rotation was last known: a periodic texture may have rotated by a period."""
         if self.reference is None or self.reference.texture is None:
             return
-        tracker = self._tracker
-        self.reference.texture.note_gap(now_s - tracker.known_at_s, tracker.last_rate_deg_s, tracker.unexpected_deg)
+        tracker, periods = self._tracker, self.reference.texture.periods
+        periods.note_gap(now_s - tracker.known_at_s, tracker.last_rate_deg_s, tracker.unexpected_deg)
 
     def _read_texture(self, reference: Reference, image: NDArray[np.uint8], patch: Patch) -> TextureMap | None:
         if self._reader is None or reference.texture is None or not self._registers:

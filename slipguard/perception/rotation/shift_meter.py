@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason
+from slipguard.perception.rotation.period_count import PERIODIC_SHARE
 from slipguard.perception.rotation.texture_map import REDUCTION
-from slipguard.perception.rotation.texture_template import PERIODIC_SHARE, TextureTemplate
+from slipguard.perception.rotation.texture_template import TextureTemplate
 from slipguard.perception.rotation.texture_tracker import TrackedTexture, rotated
 
 PERIOD_MIN_PX, PERIOD_MAX_PX = 4, 44

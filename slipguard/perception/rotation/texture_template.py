@@ -1,4 +1,4 @@
-"""The texture template: the reference's texture, how motions change it, and after which rotation it repeats."""
+"""The texture template: the reference's texture, and how motions change it."""
 
 from __future__ import annotations
 
@@ -31,17 +31,6 @@ SMOOTH = 0.8
 featureless shafts, from 1 for those with an end or a face."""
 MOTIONS = 5
 """Fitted motions: rotation, two shifts, scale and gain."""
-PERIOD_MAX_DEG = 124.0
-"""A triangle repeats at 120 degrees. A texture with a period of 180 is taken as unrotated, as axes are."""
-PERIOD_STEP_DEG = 2.0
-PERIOD_POINTS = 600
-"""A period is searched with about this many points of the texture."""
-PERIODIC_SHARE = 0.33
-"""A texture is periodic if its mean square difference from itself falls below this share of the highest. Teeth and
-regular polygons reach 0.02-0.27, other contacts of tools 0.4 (a tapered square's edge, at 90 degrees) and more."""
-SIMILAR_SHARE = 0.5
-"""The same for a texture that is only similar to itself: 0.35-0.47 for a nut of which not all edges touch, a cross and
-four pins; 0.53 and more for contacts that are not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,31 +123,6 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         np.asarray(wide, np.uint8),
         round_texture_reason(_change_by_rotation(coarse @ coarse.T), strength),
     )
-
-
-def period_deg(template: TextureTemplate, share: float = PERIODIC_SHARE) -> float | None:
-    """Return the smallest rotation after which the texture repeats, degrees, to a degree or two; None: not periodic.
-
-    That is where it differs least from itself after it has differed more, up to `PERIOD_MAX_DEG`. share: of that larger
-    difference, below which it counts as repeated.
-    """
-    some = slice(None, None, max(template.value.size // PERIOD_POINTS, 1))
-    dx, dy, value = template.x_px[some], template.y_px[some], template.value[some]
-    center_x, center_y = template.origin_px
-    highest = 0.0
-    found: tuple[float, float] | None = None
-    rotations_deg = np.arange(PERIOD_STEP_DEG, PERIOD_MAX_DEG + 0.1, PERIOD_STEP_DEG)
-    c = np.cos(np.radians(rotations_deg)).astype(np.float32)[:, None]
-    s = np.sin(np.radians(rotations_deg)).astype(np.float32)[:, None]
-    x, y = c * dx + s * dy + np.float32(center_x), c * dy - s * dx + np.float32(center_y)
-    away = cv2.remap(template.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) - value
-    for rotation_deg, square in zip(rotations_deg, np.einsum("ij,ij->i", away, away).tolist(), strict=True):
-        if found is not None and square >= found[0]:
-            break
-        if square < share * highest:
-            found = square, float(rotation_deg)
-        highest = max(highest, square)
-    return None if found is None else found[1]
 
 
 def _motion(image: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field, dy: Field) -> Field:

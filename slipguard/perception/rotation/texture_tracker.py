@@ -3,9 +3,6 @@
 Every frame is registered to the reference's own texture. If that has changed too much a key image is used instead,
 taken while the reference was still certain. The key's own uncertainty is part of the result's, keys are never taken
 from keys, and the reference is preferred as soon as it fits again: nothing drifts.
-
-A periodic texture (teeth, rays, nuts) gives a rotation only up to whole periods. The period is counted from frame to
-frame; it becomes ambiguous after a gap in which the object may have rotated by a period.
 """
 
 from __future__ import annotations
@@ -20,6 +17,7 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.fusion import AGREE_SIGMAS, RotationEstimate
 from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
+from slipguard.perception.rotation.period_count import PeriodCount
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
 from slipguard.perception.rotation.texture_registration import (
     ALIKE_MIN,
@@ -31,13 +29,7 @@ from slipguard.perception.rotation.texture_registration import (
     likely_rotations_deg,
     sigma_deg,
 )
-from slipguard.perception.rotation.texture_template import (
-    PERIOD_STEP_DEG,
-    SIMILAR_SHARE,
-    TextureTemplate,
-    make_texture_template,
-    period_deg,
-)
+from slipguard.perception.rotation.texture_template import TextureTemplate, make_texture_template
 
 KEY_NEEDED_DEG = 1.5
 """Sigma of the reference's texture above which a key is used. Shear deforms a contact evenly: the reference's sigma is
@@ -58,21 +50,11 @@ searched for there. It fits at both places unless its lack of correlation is lar
 BOWED_MAX = 0.3
 """A texture is that of a bowed edge if a rotation with some shift changes it by less than this share (of squares) of
 what the two change alone: 0.09 to 0.26 for a bowed knife, 0.25 to 0.4 for rods, 0.4 to 1 for most others."""
-ACCELERATION_DEG_S2 = 20_000.0
-"""Largest assumed acceleration of an object that rotates between two frames: a rod of 8 cm that is held at its end
-without any force reaches half of it. Teeth as fine as 26 are counted across one lost frame at 60 Hz, not at 30 Hz."""
-UNEXPECTED_FREE_DEG = 0.15
-"""Noise of a rotation that is no acceleration."""
-PERIOD_SHARE = 0.4
-"""Rotation from the expected one, as a share of the period, at which it may be the next one; 0.5 is the limit."""
 UNIQUE = 0.1
 """After a gap, the texture's correlation must exceed that at every other rotation by this."""
 SEARCH_S = 0.06
 """After a search of all rotations that found nothing, the next one follows this much later: it takes longer than all
 other work of a frame."""
-GAP_SHARE = 0.9
-"""It may also be the next one if the way to the next period's place, times this share for its accuracy, is no longer
-than the possible rotation in the gap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +95,7 @@ class TextureTracker:
 
     Args:
         template: The reference's texture.
-        rotated_unseen: Whether the object may have rotated by any angle since then: a periodic texture is ambiguous.
+        rotated_unseen: Whether the object may have rotated by any angle since then.
     """
 
     def __init__(self, template: TextureTemplate, rotated_unseen: bool = False) -> None:
@@ -123,10 +105,8 @@ class TextureTracker:
         self._key: _Key | None = None
         self._key_pose = TexturePose()
         self._memory = ImprintMemory()
-        self._gap_deg = 0.0
         self._searched: tuple[float, TrackedTexture] = (-math.inf, _declined(DeclineReason.NO_REFERENCE))
-        self.ambiguous = rotated_unseen and self.period_deg is not None
-        """Whether a periodic texture may be off by whole periods, until the axis resolves it."""
+        self.periods = PeriodCount(template, rotated_unseen)
 
     @property
     def remembers(self) -> bool:
@@ -137,22 +117,6 @@ class TextureTracker:
     def round(self) -> bool:
         """Whether the texture shows a shift only."""
         return self._first.round_reason is not None
-
-    @cached_property
-    def period_deg(self) -> float | None:
-        """The rotation after which the texture repeats or is similar to itself, None if there is none."""
-        return period_deg(self._first, SIMILAR_SHARE)
-
-    @cached_property
-    def repeats(self) -> bool:
-        """Whether the texture repeats, so that only the axis can distinguish the periods."""
-        return self.period_deg is not None and period_deg(self._first) is not None
-
-    def note_gap(self, gap_s: float, rate_deg_s: float, unexpected_deg: float) -> None:
-        """Note the time since the rotation was last known, its rate then, and how much the last one was unexpected."""
-        if not self.ambiguous:
-            self._gap_deg = possible_rotation_deg(gap_s, rate_deg_s, unexpected_deg)
-            self.ambiguous = self._may_be_next_period(0.0, self._gap_deg)
 
     def track(
         self,
@@ -167,13 +131,13 @@ class TextureTracker:
         own_patch: not that of an earlier frame: only then the texture may become the key, and each texture is searched
             at the patch's center, too.
         """
-        if self.round or not self.ambiguous:
-            return self._search(texture_map, patch, predicted_deg, None, self._gap_deg, own_patch)
-        period = self.period_deg or 0.0
+        if self.round or not self.periods.ambiguous:
+            return self._search(texture_map, patch, predicted_deg, None, self.periods.gap_deg, own_patch)
+        period = self.periods.period_deg or 0.0
         if axis.rotation_deg is None or axis.sigma_deg is None or AGREE_SIGMAS * axis.sigma_deg >= 0.5 * period:
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
         found = self._search(texture_map, patch, axis.rotation_deg, None, 0.0, own_patch)
-        self.ambiguous = found.rotation.rotation_deg is None
+        self.periods.ambiguous = found.rotation.rotation_deg is None
         return found
 
     def search_everywhere(
@@ -207,7 +171,7 @@ class TextureTracker:
         near_deg = predicted_deg + math.remainder(best.pose.rotation_deg - predicted_deg, 360.0)
         found = self._tracked(first, best, (best.pose.dx_px, best.pose.dy_px), near_deg, 0.0)
         if found.rotation.rotation_deg is not None:
-            self._pose, self._uneven_pose, self.ambiguous = best.pose, None, False
+            self._pose, self._uneven_pose, self.periods.ambiguous = best.pose, None, False
         return found
 
     def track_again(
@@ -223,14 +187,14 @@ class TextureTracker:
         before_deg = predicted_deg if found.rotation.rotation_deg is None else found.rotation.rotation_deg
         if (
             self.round
-            or self.ambiguous
+            or self.periods.ambiguous
             or contour.rotation_deg is None
             or abs(contour.rotation_deg - before_deg) <= RETRY_DEG
         ):
             return found
         dx, dy = contour_shift_px
         start = TexturePose(contour.rotation_deg, dx / REDUCTION, dy / REDUCTION)
-        second = self._search(texture_map, patch, predicted_deg, start, self._gap_deg)
+        second = self._search(texture_map, patch, predicted_deg, start, self.periods.gap_deg)
         sigma = second.rotation.sigma_deg
         return found if sigma is None or sigma >= (found.rotation.sigma_deg or 180.0) else second
 
@@ -279,7 +243,7 @@ class TextureTracker:
         rotation, sigma = found.rotation.rotation_deg, found.rotation.sigma_deg
         if rotation is None or sigma is None or found.shift_px is None:
             return found
-        if self._may_be_next_period(rotation - predicted_deg, gap_deg):
+        if self.periods.may_be_next(rotation - predicted_deg, gap_deg):
             return _declined(DeclineReason.PERIOD_AMBIGUOUS)
         shift = (found.shift_px[0] / REDUCTION, found.shift_px[1] / REDUCTION)
         self._pose = TexturePose(rotation, shift[0], shift[1]) if by_key else fit.pose
@@ -316,12 +280,6 @@ class TextureTracker:
         products = (self._first.motion[:3] @ self._first.motion[:3].T).astype(np.float64)
         size = np.sqrt(products.diagonal()) + 1e-9
         return self._first.smooth is None and bool(np.linalg.eigvalsh(products / size[:, None] / size)[0] < BOWED_MAX)
-
-    def _may_be_next_period(self, by_deg: float, gap_deg: float) -> bool:
-        """Return whether a periodic texture, found `by_deg` from where it was expected, may be a period further on."""
-        if not _reaches_next(by_deg, gap_deg, PERIOD_STEP_DEG):  # not even with the finest period
-            return False
-        return self.period_deg is not None and _reaches_next(by_deg, gap_deg, self.period_deg)
 
     def _search_key(self, texture_map: TextureMap, predicted_deg: float) -> TrackedTexture | None:
         key = self._key
@@ -382,29 +340,10 @@ class TextureTracker:
         return TrackedTexture(rotation, fit.deformation, shift, smooth, shared_deg, fit.twist_deg, fit.lean)
 
 
-def possible_rotation_deg(gap_s: float, rate_deg_s: float, unexpected_deg: float = 0.0) -> float:
-    """Return how far an object may be from its expected rotation after a gap, degrees.
-
-    Args:
-        gap_s: Time since its rotation was last known.
-        rate_deg_s: Its mean rate in the frame before that: it may have stopped at once, or accelerate.
-        unexpected_deg: How far the last known rotation was from the expected one. If the acceleration began within that
-            frame the rate at its end was higher than the mean rate.
-    """
-    gap_s = max(gap_s, 0.0)
-    begun_deg = max(unexpected_deg - UNEXPECTED_FREE_DEG, 0.0)
-    lag_deg_s = min(math.sqrt(2.0 * ACCELERATION_DEG_S2 * begun_deg), 0.5 * ACCELERATION_DEG_S2 * gap_s)
-    return max(abs(rate_deg_s) * gap_s, lag_deg_s * gap_s + 0.5 * ACCELERATION_DEG_S2 * gap_s**2)
-
-
 def _moved_px(patch: Patch, first: TextureTemplate) -> tuple[float, float]:
     """Return how far the contact's center has moved, texture pixels right and down."""
     (x, y), (before_x, before_y) = patch.center_px, first.center_px
     return x / REDUCTION - before_x, y / REDUCTION - before_y
-
-
-def _reaches_next(by_deg: float, gap_deg: float, period: float) -> bool:
-    return abs(by_deg) >= min(PERIOD_SHARE * period, GAP_SHARE * period - gap_deg)
 
 
 def _declined(reason: DeclineReason) -> TrackedTexture:

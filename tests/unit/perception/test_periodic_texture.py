@@ -18,9 +18,14 @@ from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.fusion import SLIP_SHARE
+from slipguard.perception.rotation.period_count import (
+    ACCELERATION_DEG_S2,
+    PERIODIC_SHARE,
+    possible_rotation_deg,
+    repeats_after_deg,
+)
 from slipguard.perception.rotation.texture_map import TextureMapReader
-from slipguard.perception.rotation.texture_template import make_texture_template, period_deg
-from slipguard.perception.rotation.texture_tracker import ACCELERATION_DEG_S2, possible_rotation_deg
+from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import UNCHANGED
 from slipguard.sim.gel_camera import GelCamera
@@ -88,7 +93,7 @@ def test_the_period_of_periodic_textures(surface: Surface, repeats_deg: float | 
     reader.learn(image, patch)
     texture = make_texture_template(reader.read(image, patch), patch)
     assert texture is not None
-    found = period_deg(texture)
+    (found,) = repeats_after_deg(texture, PERIODIC_SHARE)
     assert found == (None if repeats_deg is None else pytest.approx(repeats_deg, abs=2.0))
 
 
@@ -102,7 +107,7 @@ def test_of_the_test_objects_only_the_ribbed_ones_are_periodic(name: str, repeat
     reference = pipe._meter.reference
     assert reference is not None
     assert reference.texture is not None
-    assert reference.texture.repeats == repeats
+    assert reference.texture.periods.repeats == repeats
 
 
 def test_possible_rotation_in_a_gap() -> None:
@@ -260,7 +265,7 @@ def test_an_axis_resolves_the_ambiguity() -> None:
     reference = held.pipe._meter.reference
     assert reference is not None
     assert reference.texture is not None
-    assert reference.texture.period_deg == pytest.approx(30.0, abs=2.0)
+    assert reference.texture.periods.period_deg == pytest.approx(30.0, abs=2.0)
     after = [held.see(40.0, 2.0), held.see(42.0), held.see(44.0), held.see(46.0)]
     assert [one.decline_reason for one in after[:2]] == [DeclineReason.REGAINED] * 2
     assert [one.rotation_deg for one in after[2:]] == pytest.approx([44.0, 46.0], abs=0.5)

@@ -14,7 +14,7 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation import contour_meter, shift_meter, texture_tracker
+from slipguard.perception.rotation import contour_meter, period_count, shift_meter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.gel_camera import GelCamera
@@ -87,7 +87,7 @@ def test_what_later_frames_may_need_is_computed_after_the_frame_of_the_reference
 
     count(contour_meter, "make_contour_template")
     count(shift_meter, "shift_period")
-    count(texture_tracker, "period_deg")
+    count(period_count, "repeats_after_deg")
     unit = random_unit(np.random.default_rng(3))
     camera = GelCamera(unit, seed=3)
     pipeline = Pipeline(Segmenter(), PerceptionSettings(), camera.no_contact(), unit.noise_bgr, unit.px_per_mm)
@@ -97,7 +97,7 @@ def test_what_later_frames_may_need_is_computed_after_the_frame_of_the_reference
         pipeline.process(Frame(camera.draw(view), k / FPS, k))
         if not had_reference:
             assert not computed
-    assert sorted(computed) == ["make_contour_template", "period_deg", "shift_period"]
+    assert sorted(computed) == ["make_contour_template", "repeats_after_deg", "shift_period"]
 
 
 def test_a_texture_that_is_uncertain_carries_the_rotation_on() -> None:
