@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from slipguard.perception.rotation.fusion import (
     needs_contour,
     widen_for_slip,
 )
+from slipguard.perception.rotation.lasting_twist import LastingTwist
 from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement, make_reference
 from slipguard.perception.rotation.rotation_tracker import GAP_S, RotationTracker
 from slipguard.perception.rotation.segmented_texture import SegmentedTexture
@@ -33,11 +33,6 @@ UNKNOWN_SIGMAS = 2.0
 GROWTH_SIGMAS = 2.0
 """Factor on sigma for each doubling or halving of the contact area since the reference, for contacts without edges and
 without a background image: force changes their contour in other ways than a rotation."""
-TWIST_S = 0.25
-"""A middle that has rotated differently counts for this long if the rest then follows it: the object has rotated
-further than what is seen, although nothing shows it any more."""
-REST_DEG_S = 5.0
-"""Time at rest does not count: below this rate nothing moves that could show how far the object has rotated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +92,7 @@ class RotationMeter:
         self._tracker = RotationTracker() if tracker is None else tracker
         self._choice = ReferenceSelector(settings.reference == "first")
         self._segmented: SegmentedTexture | None = None
-        self._twists: deque[tuple[float, float, float]] = deque()
+        self._twist = LastingTwist()
         self._tried: tuple[float, TextureMap | None, TrackedTexture | None] = (-math.inf, None, None)
 
     @property
@@ -300,7 +295,7 @@ class RotationMeter:
         """
         axes = self._axes.fast(patch, timer)
         self.reference = make_reference(image, patch, self._axes, axes, self._reader, rotation_deg)
-        self._twists.clear()
+        self._twist = LastingTwist()
         timer.mark("reference")
         self._tracker.start(now_s, rotation_deg or 0.0)
         self._segmented = None
@@ -331,7 +326,9 @@ class RotationMeter:
         factor = GROWTH_SIGMAS ** abs(math.log2(max(growth, 1e-3)))
         moved_px = 0.0 if shift.shift_px is None else math.hypot(*shift.shift_px)
         twist_deg, lean = (0.0, 0.0) if found is None else (found.twist_deg, found.lean)
-        twist_deg = self._lasting_twist_deg(now_s, twist_deg, rotation.rotation_deg)
+        if rotation.rotation_deg is not None:
+            rate_deg_s = self._tracker.rate_deg_s(now_s)
+            twist_deg = self._twist.largest_deg(now_s, twist_deg, rotation.rotation_deg, rate_deg_s)
         rotation = widen_for_slip(rotation, twist_deg, reference.gel_contour.smooth)
         rotation = reference.gel_contour.check(rotation, patch, factor, lean, moved_px)
         if self._reader is None and rotation.sigma_deg is not None:
@@ -343,20 +340,6 @@ class RotationMeter:
         rotation = self._tracker.accept(now_s, rotation, by_texture)
         # While the rotation is declined, the axis is taken to be where it last was: a jump would look like a slip.
         return RotationMeasurement(rotation, reference.shift.at_axis(contact_shift, self._tracker.last_deg), axes)
-
-    def _lasting_twist_deg(self, now_s: float, twist_deg: float, rotation_deg: float | None) -> float:
-        """Return the largest twist within `TWIST_S` of motion; an earlier one counts up to the rotation since then."""
-        if rotation_deg is None:
-            return twist_deg
-        recent, rate_deg_s = self._twists, self._tracker.rate_deg_s(now_s)
-        if recent and rate_deg_s is not None and abs(rate_deg_s) < REST_DEG_S:
-            rested_s = now_s - recent[-1][0]
-            recent = self._twists = deque((then_s + rested_s, twist, then_deg) for then_s, twist, then_deg in recent)
-        else:
-            while recent and not 0.0 <= now_s - recent[0][0] <= TWIST_S:
-                recent.popleft()
-            recent.append((now_s, twist_deg, rotation_deg))
-        return max(twist_deg, *(min(twist, abs(rotation_deg - then_deg)) for _, twist, then_deg in recent))
 
     def _note_gap(self, now_s: float) -> None:
         """Pass on the time since the rotation was last known: a periodic texture may have rotated by a period."""

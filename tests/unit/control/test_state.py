@@ -64,4 +64,3 @@ def test_while_nothing_is_held_the_supervisor_notes_which_devices_have_reported(
     assert faults == ()
     later, _ = supervise(known, grasp_state(), observation(NOW_S + 0.02, gripper=None, arm=None), PARAMS)
     assert later == Supervision(NOW_S, NOW_S + 0.02, arm_known=True, gripper_known=True, frames_known=True)
-    assert not math.isnan(later.began_s)
