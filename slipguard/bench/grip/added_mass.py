@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from slipguard.bench.grip.lift_run import GripOutcome, PlantName, run_lift
+from slipguard.bench.grip.lift_course import GripOutcome
+from slipguard.bench.grip.lift_run import PlantName, run_lift
 from slipguard.bench.grip.scenarios import LIFT_M_S2, NEEDED_SHARE, PADS, GripScenario, draw
 from slipguard.limit_surface import FINGER_COUNT, GRAVITY_M_S2
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from slipguard.bench.grip.added_mass import AddedMass, added_mass_scenarios, run_added_mass
-from slipguard.bench.grip.lift_run import CONSTANTS, GripOutcome, PlantName, constant_n, run_lift
+from slipguard.bench.grip.lift_course import GripOutcome
+from slipguard.bench.grip.lift_run import CONSTANTS, PlantName, constant_n, run_lift
 from slipguard.bench.grip.scenarios import FIRST_TEST_SEED, GripScenario, scenarios
 from slipguard.tools.parallel import Workers, each
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.bench.grip.campaign import BASELINES, BOUND, REACTIVE, GripCampaignResult, ScenarioResult
-from slipguard.bench.grip.lift_run import GripOutcome
+from slipguard.bench.grip.lift_course import GripOutcome
 
 FLOOR_DEG, FINE_FLOOR_DEG = 0.5, 0.1
 """Slips below these count as these in ratios, because a ratio of two tiny slips has no meaning."""

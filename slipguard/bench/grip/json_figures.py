@@ -9,7 +9,7 @@ from typing import Any
 from slipguard.bench.grip import figures
 from slipguard.bench.grip.added_mass import added_mass_figures, lost_share
 from slipguard.bench.grip.campaign import REACTING, REACTIVE, GripCampaignResult, ScenarioResult
-from slipguard.bench.grip.lift_run import GripOutcome
+from slipguard.bench.grip.lift_course import GripOutcome
 from slipguard.bench.grip.scenarios import PADS
 
 FIRST_GRIPS = {"0.30-0.50": (0.0, 0.5), "0.50-0.75": (0.5, 0.75), "0.75-0.90": (0.75, 0.9), "0.90-0.97": (0.9, 1.0)}

@@ -15,7 +15,7 @@ from slipguard.bench.grip.added_mass import (
     lost_share,
     run_added_mass,
 )
-from slipguard.bench.grip.lift_run import GripOutcome
+from slipguard.bench.grip.lift_course import GripOutcome
 from slipguard.bench.grip.scenarios import GripScenario
 from slipguard.limit_surface import GRAVITY_M_S2
 

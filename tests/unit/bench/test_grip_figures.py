@@ -20,7 +20,7 @@ from slipguard.bench.grip.campaign import (
     ScenarioResult,
 )
 from slipguard.bench.grip.json_figures import LIMITS, as_json, checks, failures, scenarios_as_json
-from slipguard.bench.grip.lift_run import GripOutcome
+from slipguard.bench.grip.lift_course import GripOutcome
 from slipguard.bench.grip.plot import draw
 from slipguard.bench.grip.report import print_tables
 from slipguard.bench.grip.scenarios import scenarios

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from slipguard.bench.grip import lift_run
-from slipguard.bench.grip.lift_run import DROPPED_DEG, constant_n, run_lift
+from slipguard.bench.grip.lift_course import DROPPED_DEG
+from slipguard.bench.grip.lift_run import constant_n, run_lift
 from slipguard.bench.grip.scenarios import GripScenario, draw, scenarios
 
 SCENARIOS = scenarios(90, 0)
