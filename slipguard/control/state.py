@@ -269,7 +269,7 @@ class GraspState:
         guarding: slip has an effect (`guard off` ends that until `guard on`).
         release: in RELEASED only.
         fault: in FAULT only: the latched one.
-        gel: torsional stiffness of the gels, learned over the grasps since the start.
+        gel: torsional stiffness of the gels, learned over the grasps.
     """
 
     phase: Phase = Phase.IDLE

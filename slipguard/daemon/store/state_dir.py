@@ -1,7 +1,8 @@
-"""The state directory: each sensor's background images, and the last grasp with its fault.
+"""The state directory: each sensor's background images and stiffness, and the last grasp with its fault.
 
     <state>/sensors/<serial>/no_contact-0003.png    background image, 240 x 320 BGR; older ones are kept
     <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, time, sha256 of the image
+    <state>/sensors/<serial>/stiffness.json         learned stiffness of the gel
     <state>/last_grasp.json
 
 Every file is written atomically, the .json last: an image without it is not used.
@@ -23,6 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.atomic_file import write_atomically
 from slipguard.config_errors import describe_validation_error
+from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.dated_file import DatedFile
@@ -49,6 +51,15 @@ class _BackgroundFacts(_StateFile):
     level_bgr: tuple[Level, Level, Level] | None = None
     new_gel: bool = False
     copy_of: int | None = None
+
+
+class _StiffnessFacts(_StateFile):
+    """gel: number of the first background image of the gel that it belongs to; None: there was no image."""
+
+    format: Literal[1] = 1
+    gel: int | None
+    median_n_m_rad: Annotated[float, Field(gt=0.0, le=1000.0)]
+    spread: Annotated[float, Field(gt=0.0, le=STIFFNESS_PRIOR.spread)]
 
 
 class LastGrasp(DatedFile):
@@ -161,6 +172,10 @@ class StateDir:
             found.append(BackgroundVersion(number, facts.created_at, *properties))
         return found
 
+    def gel_number(self, serial: str) -> int | None:
+        """Return the number of the first image of a sensor's present gel; None if there is none."""
+        return self._gel_began(self.background_versions(serial))
+
     @staticmethod
     def _gel_began(history: list[BackgroundVersion]) -> int | None:
         """Return the number of the present gel's first image."""
@@ -169,7 +184,7 @@ class StateDir:
 
     def first_of_gel(self, serial: str) -> BackgroundImage | None:
         """Return the first image of a sensor's present gel; None if there is none. Raises InputError if damaged."""
-        number = self._gel_began(self.background_versions(serial))
+        number = self.gel_number(serial)
         return None if number is None else self._load(serial, number)
 
     def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:
@@ -218,6 +233,21 @@ class StateDir:
         if not folder.is_dir():
             return []
         return [int(match[1]) for entry in folder.iterdir() if (match := _IMAGE.fullmatch(entry.name))]
+
+    # --- the stiffness of the gels ---
+
+    def save_stiffness(self, serial: str, stiffness: LogNormal, gel: int | None) -> None:
+        """Store the learned stiffness of a sensor's gel. gel: as `gel_number`."""
+        facts = _StiffnessFacts(gel=gel, median_n_m_rad=stiffness.median, spread=stiffness.spread)
+        _write(self._sensor(serial) / "stiffness.json", facts.model_dump_json(indent=2).encode())
+
+    def load_stiffness(self, serial: str) -> LogNormal | None:
+        """Return the learned stiffness of a sensor's present gel; None if unknown. Raises InputError if damaged."""
+        path = self._sensor(serial) / "stiffness.json"
+        if not path.exists():
+            return None
+        facts = _read(path, _StiffnessFacts)
+        return LogNormal(facts.median_n_m_rad, facts.spread) if facts.gel == self.gel_number(serial) else None
 
     # --- the last grasp ---
 

@@ -1,0 +1,122 @@
+"""What the grasps have shown of the gels is kept by serial number, and used again after a start."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+import pytest
+from loop_cell import Cell, play
+
+from slipguard.config import parse_config
+from slipguard.control.control_step import ControlState
+from slipguard.control.messages import Observation, StepOutput
+from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
+from slipguard.control.state import GraspState, Phase
+from slipguard.daemon.loop.decision import Decision
+from slipguard.daemon.run import build_service
+from slipguard.daemon.store.background_images import BackgroundImage
+from slipguard.daemon.store.gel_stiffness import StiffnessSaver, restore_stiffness
+from slipguard.daemon.store.state_dir import StateDir
+from slipguard.devices import FINGERS
+from slipguard.sim.world import World, WorldSettings
+
+SERIALS = ("D20479", "D20510")
+SOFT = LogNormal(0.08, 0.5)
+IMAGE = BackgroundImage(np.full((320, 240, 3), 90, np.uint8), (2.9, 1.5, 2.4), 30)
+
+
+def stored(tmp_path: Path, *known: tuple[str, LogNormal]) -> StateDir:
+    state_dir = StateDir(tmp_path)
+    for serial, stiffness in known:
+        state_dir.save_stiffness(serial, stiffness, state_dir.gel_number(serial))
+    return state_dir
+
+
+def test_what_a_lift_shows_is_stored_for_both_sensors(tmp_path: Path) -> None:
+    state_dir = StateDir(tmp_path)
+
+    async def scene(cell: Cell) -> None:
+        saver = StiffnessSaver(state_dir, SERIALS, STIFFNESS_PRIOR, cell.messages.append, cell.messages.append)
+        cell.service.observers.append(saver.add_decision)
+        await cell.grasp()
+        await asyncio.sleep(0.2)
+        assert restore_stiffness(state_dir, SERIALS) == STIFFNESS_PRIOR, "nothing has been shown yet"
+        assert not (tmp_path / "sensors").exists()
+        await cell.lift()
+        await asyncio.sleep(2.0)
+        learned = cell.service.state.gel
+        assert learned.spread < STIFFNESS_PRIOR.spread
+        assert restore_stiffness(state_dir, SERIALS) == learned
+        assert restore_stiffness(state_dir, SERIALS[::-1]) == learned
+
+    play(Cell("wrench", 1), scene)
+
+
+def test_a_started_daemon_knows_its_gels(tmp_path: Path) -> None:
+    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in FINGERS}
+    config = parse_config(raw | {"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+
+    def started() -> tuple[LogNormal, list[str]]:
+        service = build_service(config, world=World(WorldSettings(), seed=0))
+        service.close()
+        serials = [finger.capture.sensor.serial for finger in service.fingers.values()]
+        return service.state.gel, serials
+
+    gel, serials = started()
+    assert gel == STIFFNESS_PRIOR
+    stored(tmp_path, *((serial, SOFT) for serial in serials))
+    assert started()[0] == SOFT
+
+
+@pytest.mark.parametrize("serials", [SERIALS, ("D20479", ""), ("", ""), ("D20479", "D30000")])
+def test_a_pair_with_an_unknown_gel_begins_with_what_is_expected_of_any(
+    tmp_path: Path, serials: tuple[str, str]
+) -> None:
+    assert restore_stiffness(stored(tmp_path, ("D20479", SOFT)), serials) == STIFFNESS_PRIOR
+
+
+def test_sensors_of_two_pairs_have_the_mean_of_both_and_the_larger_spread(tmp_path: Path) -> None:
+    state_dir = stored(tmp_path, ("D20479", LogNormal(0.08, 0.5)), ("D20510", LogNormal(0.12, 0.4)))
+    assert restore_stiffness(state_dir, SERIALS) == LogNormal(pytest.approx(0.1), 0.5)
+
+
+def test_a_new_gel_is_unknown_and_another_image_of_the_same_is_not(tmp_path: Path) -> None:
+    state_dir = StateDir(tmp_path)
+    for serial in SERIALS:
+        state_dir.save_background(serial, IMAGE)
+    stored(tmp_path, *((serial, SOFT) for serial in SERIALS))
+    state_dir.save_background("D20479", IMAGE)
+    assert restore_stiffness(state_dir, SERIALS) == SOFT
+    state_dir.save_background("D20479", IMAGE, new_gel=True)
+    assert restore_stiffness(state_dir, SERIALS) == STIFFNESS_PRIOR
+
+
+def test_a_gel_that_is_replaced_while_the_daemon_runs_is_unknown_after_a_start(tmp_path: Path) -> None:
+    state_dir, lines = StateDir(tmp_path), list[str]()
+    learned = ControlState(GraspState(gel=SOFT))
+
+    async def scene() -> None:
+        saver = StiffnessSaver(state_dir, SERIALS, STIFFNESS_PRIOR, lines.append, lines.append)
+        state_dir.save_background("D20479", IMAGE, new_gel=True)
+        saver.add_decision(Decision(1.0, Phase.HOLDING, Observation(1.0), StepOutput(), learned))
+        await asyncio.sleep(0.1)
+
+    asyncio.run(scene())
+    assert state_dir.load_stiffness("D20510") == SOFT
+    assert state_dir.load_stiffness("D20479") is None
+    assert not lines
+
+
+def test_a_damaged_file_is_reported_and_a_serial_number_that_names_no_folder_is_no_obstacle(tmp_path: Path) -> None:
+    state_dir, lines = stored(tmp_path, *((serial, SOFT) for serial in SERIALS)), list[str]()
+    (tmp_path / "sensors" / "D20479" / "stiffness.json").write_text('{"format": 1, "median_n_m_rad": -1')
+    assert restore_stiffness(state_dir, SERIALS, lines.append) == STIFFNESS_PRIOR
+    assert restore_stiffness(state_dir, ("a/b", "D20510"), lines.append) == STIFFNESS_PRIOR
+    damaged, unfit = lines
+    assert damaged.startswith("the learned stiffness of the gels is not used: ")
+    assert "damaged" in damaged
+    assert "only letters" in unfit
+    StiffnessSaver(state_dir, ("a/b", "D20510"), SOFT, lines.append, lines.append)
+    assert len(lines) == 2
