@@ -72,6 +72,8 @@ def _describe_problem(problem: Any, model: type[BaseModel] | None, under: str) -
         return f"{key}: {describe_unknown_key(path[-1], known)}"
     if kind == "missing":
         return f"{key}: missing; it must be given"
+    if kind == "json_invalid":
+        return f"not valid JSON: {context['error']}"
     message = str(context.get("error", problem["msg"]))
     value = "" if isinstance(given, Mapping | BaseModel) else f" = {format_value(given)}"
     return f"{key}{value}: {message[:1].lower()}{message[1:]}"

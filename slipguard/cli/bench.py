@@ -39,7 +39,7 @@ def bench(
     seed: Annotated[
         int,
         typer.Option(
-            help="With --grip: seed of the scenarios. Tune on seeds below 1000; state results of 1000 and up."
+            min=0, help="With --grip: seed of the scenarios. Tune on seeds below 1000; state results of 1000 and up."
         ),
     ] = 0,
 ) -> None:
@@ -50,6 +50,8 @@ def bench(
     """
     if grip and (model is not None or models is not None):
         raise InputError("--grip uses the shipped network; omit --model and --models")
+    if not grip and (plant != "own" or seed):
+        raise InputError("--plant and --seed choose scenarios of --grip; add --grip, or omit them")
     from rich.console import Console
 
     from slipguard.bench import run, tables

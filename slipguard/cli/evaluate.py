@@ -84,7 +84,9 @@ def rotation(
     from slipguard.evaluation.external_camera import markers_in
     from slipguard.evaluation.marker_rotation import rotations
     from slipguard.evaluation.report_plots import draw_trace
+    from slipguard.tools.plotting import check_plot_path
 
+    check_plot_path(plot)
     lens = read_intrinsics(intrinsics)
     seen = list(markers_in(source, lens))
     try:

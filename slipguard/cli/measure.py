@@ -68,7 +68,9 @@ def measure(
     from slipguard.perception.settings import PerceptionSettings
     from slipguard.tools import measure as tool
     from slipguard.tools.image_files import IMAGE_ENDINGS, find_image_files, read_gel_image
+    from slipguard.tools.plotting import check_plot_path
 
+    check_plot_path(plot)
     files = find_image_files(paths)
     if masks is not None:
         _check_mask_names([file for file in files if file.suffix.lower() in IMAGE_ENDINGS])

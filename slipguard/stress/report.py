@@ -18,7 +18,7 @@ from slipguard.tools import plotting
 
 PLOT = "error-against-noise.png"
 SHOWN_FAILURES = 10
-SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg")
+SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg", "broken_at")
 """Keys of `as_json` that `--json` prints; `stress.json` in the --out folder contains all of them."""
 PANELS = (
     ("outline", "contour error in network pixels (1 sd)"),
@@ -43,6 +43,7 @@ def as_json(outcome: StressOutcome) -> dict[str, Any]:
     """Return all results; errors in degrees, values that were not measured are null.
 
     share: of the full list, by estimated time. worst: the largest error in each family, regardless of its sigma.
+    broken_at: the smallest size of each swept effect at which an estimate was off by more than 4 sigma.
     """
     total_h = full_hours(outcome.families)
     return {
@@ -58,6 +59,7 @@ def as_json(outcome: StressOutcome) -> dict[str, Any]:
         "drift_deg": _largest(outcome, DRIFT),
         "holding_drift_deg": _largest(outcome, HOLDING),
         "aspect_1_2_error_deg": _largest(outcome, ASPECT),
+        "broken_at": {effect: _rounded(level) for effect, level in _broken(outcome)},
         "seed": outcome.seed,
         "spent_s": round(outcome.spent_s, 2),
         "full_hours": _rounded(total_h),
@@ -130,7 +132,7 @@ def print_table(console: Console, outcome: StressOutcome) -> None:
         f"{100.0 * _done_hours(outcome) / hours:.3g} % of the full list, which takes about {hours:.2g} h on one core "
         "(the campaign stress-list)"
     )
-    for effect, level in sorted(item for results in outcome.results for item in results.broken_at.items()):
+    for effect, level in _broken(outcome):
         console.print(f"{effect}: an estimate is off by more than 4 sigma from size {level:g} on", highlight=False)
     firsts = first_failures(outcome)
     for one in firsts[:SHOWN_FAILURES]:
@@ -183,6 +185,10 @@ def _pairs(outcome: StressOutcome) -> list[tuple[TrialFamily, FamilyResults]]:
 
 def _done_hours(outcome: StressOutcome) -> float:
     return sum(family.cost_ms * results.tried / family.frames for family, results in _pairs(outcome)) / 3.6e6
+
+
+def _broken(outcome: StressOutcome) -> list[tuple[str, float]]:
+    return sorted(item for results in outcome.results for item in results.broken_at.items())
 
 
 def _count(outcome: StressOutcome, kind: FailureKind) -> int:

@@ -13,6 +13,8 @@ from slipguard.errors import InputError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+ENDINGS = (".png", ".pdf", ".svg")
+
 
 def figure(width_in: float, height_in: float) -> Figure:
     """Return a new figure; write it with `save`."""
@@ -24,6 +26,16 @@ def figure(width_in: float, height_in: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_in, height_in), dpi=110, layout="constrained")
+
+
+def check_plot_path(path: Path | None) -> None:
+    """Raise InputError if `save` could not write there, before the work whose results are plotted."""
+    if path is None:
+        return
+    if path.suffix.lower() not in ENDINGS or path.is_dir():
+        raise InputError(f"--plot {path}: not a name for a plot. Name a file that ends with {', '.join(ENDINGS)}")
+    if not path.parent.is_dir():
+        raise InputError(f"--plot {path}: the folder {path.parent} does not exist. Create it, or choose another one")
 
 
 def save(drawing: Figure, path: Path, **options: Any) -> None:

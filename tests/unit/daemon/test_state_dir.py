@@ -211,3 +211,12 @@ def test_files_without_version_data_are_read(tmp_path: Path) -> None:
     (version,) = state.background_versions("D20479")
     assert (version.level_bgr, version.new_gel, version.copy_of) == (None, False, None)
     assert state.first_of_gel("D20479") is not None
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"), [(b'{"format": 5, "fo', "EOF while parsing"), (b"", "EOF"), (b"\0" * 9, "")]
+)
+def test_a_file_that_is_cut_off_or_overwritten_is_not_valid_json(tmp_path: Path, content: bytes, problem: str) -> None:
+    (tmp_path / "last_grasp.json").write_bytes(content)
+    with pytest.raises(InputError, match=rf"last_grasp\.json: damaged: not valid JSON: {problem}"):
+        StateDir(tmp_path).load_last_grasp()

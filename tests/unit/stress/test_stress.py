@@ -254,7 +254,7 @@ def test_the_command_prints_json_and_writes_the_plot(tmp_path: Path, capsys: pyt
     out = tmp_path / "stress"
     assert cli(["stress", "--only", "noise", "--only", "fusion", "--seconds", "0.1", "--json", "--out", str(out)]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg"}
+    assert set(found) == {"tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg", "broken_at"}
     assert found["drift_deg"] is None
     assert (out / "error-against-noise.png").stat().st_size > 10_000
     written = json.loads((out / "stress.json").read_text())

@@ -8,7 +8,7 @@ from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
 from slipguard.stress.effect_families import LEVELS
 from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.report import as_json
+from slipguard.stress.report import as_json, summary
 from slipguard.stress.runner import StressOutcome, run, select_families
 
 
@@ -34,6 +34,7 @@ def test_an_estimate_that_is_certain_and_wrong_breaks_at_the_smallest_size() -> 
     broken = as_json(outcome)["families"]["effects"]["broken_at"]
     assert broken
     assert broken == {effect: LEVELS[effect][0] for effect in broken}
+    assert summary(outcome)["broken_at"] == broken
     assert as_json(outcome)["families"]["effects"]["worst_sigmas"]["rocking"] > 1_000.0
 
 
