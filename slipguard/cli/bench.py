@@ -26,9 +26,12 @@ def bench(
     models: Annotated[
         Path | None, typer.Option(help="Folder of networks to compare, for example those of the paper.")
     ] = None,
-    jobs: Annotated[int, typer.Option(help="Processes for the parts that are not timed; 0: one per core.")] = 0,
+    jobs: Annotated[
+        int, typer.Option(help="With --full or --grip: processes for the parts that are not timed; 0: one per core.")
+    ] = 0,
     cluster: Annotated[
-        str | None, typer.Option(help="Dask scheduler for the parts that are not timed: tcp://HOST:8786.")
+        str | None,
+        typer.Option(help="With --full or --grip: Dask scheduler for the parts that are not timed: tcp://HOST:8786."),
     ] = None,
     grip: Annotated[
         bool, typer.Option("--grip", help="Compare grip controllers in closed loop: rotation, slip and grip force.")
@@ -52,6 +55,8 @@ def bench(
         raise InputError("--grip uses the shipped network; omit --model and --models")
     if not grip and (plant != "own" or seed):
         raise InputError("--plant and --seed choose scenarios of --grip; add --grip, or omit them")
+    if quick and not grip and cluster is not None:
+        raise InputError("the quick bench runs in this process alone; add --full, or omit --cluster")
     from rich.console import Console
 
     from slipguard.bench import run, tables

@@ -1,29 +1,34 @@
 """Estimate the grip force that a load needs, from the elastic torsion of the gel and from the onset of slip.
 
-Two equal fingers press with N on patches of radius a(N). They hold a torque up to (limit surface, limit_surface.py)
+Each of two equal fingers presses with a force N on a round patch of radius a(N) ~ N^gamma (Xydas and Kao). mu is the
+friction coefficient, and xi nu the factor of the pressure profile (`pressure_shape` in limit_surface.py). Before they
+slip, both fingers together hold, on the limit surface (Howe and Cutkosky), a torque or a force of at most
 
-    T(N) = 4 mu xi_nu a(N) N ~ N^(1 + gamma)                                     Costanzo et al., slipping_control
-    f(N) = 2 mu N                                        for a load without lever
+    T(N) = 4 mu xi nu a(N) N ~ N^(1 + gamma)             torque about the grasp axis (Costanzo et al.)
+    F(N) = 2 mu N                                        force, for a load without lever
 
-and twist elastically by theta = tau / (2 k), with k = k6 (a / 6 mm)^3 the stiffness of one gel  (Johnson, Contact
-Mechanics 1985, 3.10: 16/3 G a^3). From that follow five estimates:
+A torque tau below T twists them elastically by theta = tau / (2 k). k = 16/3 G a^3 is the torsional stiffness of one
+gel with the shear modulus G (Johnson, 3.10), so k = k6 (a / 6 mm)^3. r is the load over what the grip holds, tau / T.
+From that follow five estimates:
 
-1. The onset of slip. At the first slip under a known force N1 the torque is T(N1). More than that arrives: by r.
-2. Free slip. The excess turns the object: I alpha = tau - T. A bar held at its end has I = 4/3 m b^2, so without
-   friction it would turn with 3 g / (4 b), and r = tau / T = 1 / (1 - alpha 4 b / (3 g)), where alpha = rate^2 / (2
-   theta). A slide is the same with g alone. Without a known lever, b = 60 mm. r is at least `ratio_least`, as rates
-   lag, and at most RATIO_MAX, for a gel that swings elastically turns as fast at first.
+1. The onset of slip. At the first slip under a known force N1 the torque is T(N1), and goes on growing to r T(N1).
+2. Free slip. The excess rotates the object: I alpha = tau - T. A bar held at its end has the mass m, the center of
+   mass at b, and I = 4/3 m b^2, so without friction alpha would be 3 g / (4 b). Hence r = 1 / (1 - alpha 4 b / (3 g)),
+   where alpha = rate^2 / (2 theta) is measured. A slide is the same with g alone. Without a known lever, b = 60 mm. r
+   is at least `ratio_least`, as rates lag, and at most RATIO_MAX, for a gel that swings elastically rotates as fast at
+   first.
 3. Slip while the object leaves the table. Its far end leads it: the rate is the arm's, not the load's, and no image
    shows r. So the load is searched: each step is r = `search`, which ends within a factor of 1 to `search` above
    the needed force, in the geometric mean its square root. The arm stands meanwhile, and the load does not grow.
 4. Elastic motion. Before anything slips, a gel twists by up to theta_on = T(N) / (2 k), and gives way in shear by up to
-   s_on = mu N a^2 / k (Johnson 3.7: shear and torsion of an incompressible half-space differ by a^2). Up to these, no
+   s_on = mu N a^2 / k (Johnson, 3.7: shear and torsion of an incompressible half-space differ by a^2). Up to these, no
    motion is slip. k6 is a log-normal estimate, and so is mu; the likeliest theta_on is its mode, the median times
    exp(-spread^2), and at most UNKNOWN_MAX before the first grasp. Each object that was lifted and hangs at rest has
    used a share of theta_on and s_on, which narrows k6: an object without a lever shears the gel and does not twist it.
    What it moved until the last step may have been slip, and what it moved since then has not been; the geometric mean
    of both counts. The torsion at the first slip narrows the friction as far as k6 is known: ln theta_on = ln mu - ln
-   k6 + ln(...), a Kalman update.
+   k6 + ln(...), a Kalman update. Both gels twist with the one object, so k6 is the mean of both; it is kept by the
+   sensors' serial numbers.
 5. A load that grows at rest. The share of the elastic motion that is used grows with it (elastic_share.py). Once that
    exceeds 1 within the delay of the loop, the grip is raised by that share, before anything slips.
 
@@ -31,11 +36,21 @@ The force for a torque of r T(N1) is N1 r^(1 / (1 + gamma)), for a slide N1 r: f
 added where r was measured. With `friction` and `mass_kg` given, the force of the limit surface counts, too.
 
 Its a(N) is that of the contact that the cameras show. Of all patches of one area a disk holds the least torque, for
-the mean distance from its middle is the least (Hardy, Littlewood and Polya 1934, rearrangement). So a contact counts
+the mean distance from its middle is the least (Hardy, Littlewood and Polya, rearrangement). So a contact counts
 as the disk of its area, and as no more than what the image shows of it. The slopes around it show as well: of 117
 rendered presses (39 objects, three depths), nine in ten hold the torque of a disk of at least SEEN_SHARE times the
 radius seen. Before it is seen, the contact counts as a large one, for a grip can be made firmer, but not looser; it is
 made firmer before the lift. Elastic motion does not depend on the contact seen: k6 is learned for the patch of `PAD`.
+
+Sources:
+    M. Costanzo, G. De Maria, C. Natale: Two-fingered in-hand object handling based on force/tactile feedback. IEEE
+        Transactions on Robotics 36 (2020); their code: slipping_control.
+    G. H. Hardy, J. E. Littlewood, G. Polya: Inequalities (1934), chapter 10.
+    R. D. Howe, M. R. Cutkosky: Practical force-motion models for sliding manipulation. International Journal of
+        Robotics Research 15 (1996).
+    K. L. Johnson: Contact Mechanics (1985), sections 3.7 and 3.10.
+    N. Xydas, I. Kao: Modeling of contact mechanics and friction limit surfaces for soft fingers in robotics.
+        International Journal of Robotics Research 18 (1999).
 """
 
 from __future__ import annotations

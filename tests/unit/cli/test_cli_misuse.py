@@ -48,6 +48,7 @@ WRONG = {
     "bench --quick --model nowhere.onnx": "no such file",
     "bench --plant mujoco": "add --grip, or omit them",
     "bench --seed 5": "add --grip, or omit them",
+    "bench --cluster tcp://127.0.0.1:1": "add --full, or omit --cluster",
     "bench --grip --seed -1": "invalid value for '--seed'",
     "measure . --plot .": "Name a file that ends with .png, .pdf, .svg",
     "measure . --plot rotation.jpeg2": "Name a file that ends with .png, .pdf, .svg",
