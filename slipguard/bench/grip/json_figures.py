@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from slipguard.bench.grip import figures
@@ -75,6 +75,7 @@ def as_json(found: GripCampaignResult) -> dict[str, object]:
             "minutes": round(len(found.firm) * found.plan.hold_s / 60.0, 2),
             "false_while_lifted": 0 if ours is None else ours.lifting,
             "false_while_holding": 0 if ours is None else ours.held,
+            "tightened_while_slipping": 0,  # nothing slips in a firm grasp, so every tightening counts as false
             "lifts_tightened": {name: row.lifting for name, row in firm.items()},
         },
     }  # fmt: skip
@@ -195,10 +196,11 @@ LIMITS = (
 
 @dataclass(frozen=True, slots=True)
 class LimitCheck:
-    """One limit with its value."""
+    """One limit with its value. by_group: the same figure of groups of lifts, where it is known."""
 
     limit: FigureLimit
     value: float | None
+    by_group: Mapping[str, float | None] = field(default_factory=dict)
 
     @property
     def kept(self) -> bool:
@@ -210,12 +212,18 @@ class LimitCheck:
             "allowed": f"≤ {self.limit.at_most:g}",
             "value": self.value,
             "held": self.kept,
+            "not_held_in": [name for name, value in self.by_group.items() if not self.limit.holds(value)],
         }
 
 
 def checks(found: Mapping[str, Any]) -> list[LimitCheck]:
+    """Return every limit with its value, on the whole and by pads, high need and fragile objects."""
     values = {**found, **found["holds"], "dominated_by": len(found["dominated_by"])}
-    return [LimitCheck(limit, values[limit.key]) for limit in LIMITS]
+    groups = {**found["by_gel"], "high need": found["high_need"], "fragile": found["fragile"]}
+    return [
+        LimitCheck(limit, values[limit.key], {name: part.get(limit.key) for name, part in groups.items()})
+        for limit in LIMITS
+    ]
 
 
 def failures(found: Mapping[str, Any]) -> list[str]:

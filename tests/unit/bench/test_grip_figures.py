@@ -121,10 +121,22 @@ def test_the_json_keeps_its_keys_and_every_limit_has_a_value() -> None:
     assert (found["seed_set"], found["plant"]) == ("tuning", "own")
     assert len(checks(found)) == len(LIMITS)
     assert failures(found) == []
+    assert all(check.as_json()["not_held_in"] == [] for check in checks(found))
+    assert set(found["holds"]) >= {"count", "minutes", "tightened_while_slipping"}  # type: ignore[call-overload]
     assert len(failures(as_json(campaign(ours=(2.0, 9.0))))) == 4
     trials = scenarios_as_json(campaign())["trials"]
     assert isinstance(trials, list)
     assert {"event", "needed_n", "slipguard", "clairvoyant", "constant_0.50"} <= set(trials[0])
+
+
+def test_a_limit_that_some_lifts_exceed_names_their_group() -> None:
+    found = campaign()
+    for one in found.weak:
+        if one.scenario.pad == "soft":
+            one.outcomes["slipguard"] = replace(one.slipguard, slip_deg=5.0)
+    (check,) = (one for one in checks(as_json(found)) if one.limit.key == "slip_p95_deg")
+    assert "soft" in check.as_json()["not_held_in"]  # type: ignore[operator]
+    assert "stiff" not in check.as_json()["not_held_in"]  # type: ignore[operator]
 
 
 def test_tables_and_plot_show_every_baseline(tmp_path: Path) -> None:
