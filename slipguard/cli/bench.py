@@ -91,9 +91,12 @@ def bench_grip(*, quick: bool, seed: int, plant: str, json: bool, out: Path | No
     from slipguard.bench.grip.json_figures import as_json, checks, failures, scenarios_as_json
     from slipguard.bench.grip.plot import draw
     from slipguard.bench.grip.report import print_tables
+    from slipguard.sim.mujoco_plant import MujocoPlant
 
     if plant not in ("own", "mujoco"):
         raise InputError(f"--plant {plant}: must be own or mujoco")
+    if plant == "mujoco":
+        MujocoPlant()  # raises if MuJoCo is not installed
     plan = CampaignPlan.of(quick=quick, seed=seed, plant="mujoco" if plant == "mujoco" else "own")
     progress = Console(stderr=True)
     progress.print(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -55,3 +56,9 @@ def test_the_command_fails_if_a_limit_is_exceeded(
 def test_an_unknown_plant_is_refused() -> None:
     with pytest.raises(InputError, match="must be own or mujoco"):
         bench_grip(quick=True, seed=0, plant="bullet", json=True, out=None, workers=Workers(jobs=1))
+
+
+def test_without_mujoco_its_plant_is_refused_before_the_scenarios(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(InputError, match=r"^--plant mujoco needs MuJoCo. Install it with: pip install"):
+        bench_grip(quick=True, seed=0, plant="mujoco", json=True, out=None, workers=Workers(jobs=1))
