@@ -81,6 +81,8 @@ def read_gel_image(path: Path) -> NDArray[np.uint8]:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """Return the pixels of an 8-bit color image file, BGR. Raises `InputError` for a damaged, gray or 16-bit one."""
+    if path.exists() and not path.is_file():  # a folder, or a device that never ends
+        raise InputError(f"{path}: not an image file. Give an 8-bit color PNG or JPEG")
     try:
         data = path.read_bytes()
     except OSError as error:

@@ -264,3 +264,10 @@ def test_unknown_estimator_and_model_are_refused(rotating: Path) -> None:
         run([rotating], estimator="moment")
     with pytest.raises(ModelError, match="no such file"):
         run([rotating], model=rotating / "none.onnx")
+
+
+@pytest.mark.parametrize("path", [Path("/dev/null"), Path()], ids=["device", "folder"])
+def test_only_a_file_is_read_as_an_image(path: Path) -> None:
+    """A device such as /dev/zero never ends."""
+    with pytest.raises(InputError, match=r"not an image file\. Give an 8-bit color PNG or JPEG"):
+        read_gel_image(path)
