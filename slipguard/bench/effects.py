@@ -41,6 +41,7 @@ class EffectErrors:
     axis_compared: int = 0
 
     def add(self, other: EffectErrors) -> None:
+        """Add the errors of other grasps."""
         self.compared += other.compared
         self.found += other.found
         self.zero += other.zero

@@ -74,6 +74,7 @@ class PipelineResults:
         return estimate
 
     def run(self, processor: FrameProcessor, grasp: RenderedGrasp, shots: Iterable[GraspFrame]) -> None:
+        """Process these frames of a grasp and add their times and errors."""
         errors = self.begin(grasp)
         for shot in shots:
             self.take(processor, shot, errors)
@@ -91,6 +92,7 @@ class PipelineResults:
             self.other_ms.append(spent_ms)
 
     def add(self, other: PipelineResults) -> None:
+        """Add the results of other grasps."""
         self.busy_ms += other.busy_ms
         self.empty_ms += other.empty_ms
         self.unchanged_ms += other.unchanged_ms

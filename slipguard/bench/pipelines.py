@@ -135,6 +135,7 @@ def with_timing_network() -> list[BenchPipeline]:
 
 
 def without_network() -> list[BenchPipeline]:
+    """Return the pipelines that segment by background subtraction."""
     return [
         BenchPipeline("subtraction", "background subtraction", axis, None, "contract", "240×320", NO_SKIP)
         for axis in ("pca", "ellipse")

@@ -58,6 +58,7 @@ def onsets(quick: bool) -> list[SlipOnset]:
 def measure_skips(
     quick: bool, default: BenchPipeline, held: dict[str, HoldingResult], workers: Workers
 ) -> tuple[SkipResult, ...]:
+    """Return for each skip the time it saves, the error it adds, and how much later slip is detected."""
     found_delays = each(partial(_delays, default), onsets(quick), Workers(jobs=1) if quick else workers)
     empty_delays, unchanged_delays = (list(one) for one in zip(*found_delays, strict=True))
     found = [

@@ -22,7 +22,8 @@ def stress(
     """Test the estimators with hard inputs: degenerate masks, noise, nearly round contacts, NaN, odd clocks.
 
     Exits 1 if an estimator crashed, returned NaN, was confidently wrong (pipeline above 4 sigma) or exceeded
-    a specified limit.
+    a specified limit. The family `effects` is swept until estimates are confidently wrong: it reports from which
+    size of an effect on, and that is no failure.
 
     Example: `slipguard stress --seconds 60 --out stress/`, `slipguard stress --only noise --seed 136 --seconds 1`
     """

@@ -129,6 +129,7 @@ DISTORTIONS: dict[str, Distortion] = {
 
 
 def unrelated_image(rng: np.random.Generator) -> Image:
+    """Return an image that shows no gel: gray, one color, noise, a checkerboard, clouds or a rectangle."""
     kind = int(rng.integers(6))
     shape = (320, 240, 3)
     if kind == 0:

@@ -126,6 +126,7 @@ def check_symmetry(
 
 
 def check_registration_with_itself(patch: Patch, product: ProductFunctions, results: FamilyResults) -> None:
+    """Check that a patch registered to its own contour has not rotated."""
 
     def register() -> tuple[float | None, float | None]:
         registration = product.registrar(make_contour_template(patch), patch).fit(ContourPose())

@@ -95,6 +95,7 @@ def first_failures(outcome: StressOutcome) -> list[TrialFailure]:
 
 
 def command_for(failure: TrialFailure) -> str:
+    """Return the command that reproduces a failure."""
     return f"slipguard stress --only {failure.family} --seed {failure.seed}"
 
 

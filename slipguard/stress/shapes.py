@@ -60,6 +60,7 @@ def roughness(rng: np.random.Generator, sigma_px: float) -> Map | None:
 
 
 def box(half_long: float, half_wide: float) -> Distance:
+    """Return a rectangle along u."""
 
     def distance(u: Map, v: Map) -> Map:
         x, y = np.abs(u) - np.float32(half_long), np.abs(v) - np.float32(half_wide)

@@ -97,6 +97,7 @@ class ClosedLoop:
         self._schedule_step()
 
     def ask(self, request: ControlRequest) -> None:
+        """Give the controller a request, at once."""
         self._request = request
         self._decide()
 
@@ -112,13 +113,16 @@ class ClosedLoop:
         return False
 
     def wait(self, seconds: float) -> None:
+        """Run for this time."""
         self.until(lambda: False, seconds)
 
     def later(self, when_s: float, action: Callable[[], None]) -> None:
+        """Call `action` at this time; at once if it has passed."""
         self._order += 1
         heapq.heappush(self._events, (max(when_s, self.now_s), self._order, action))
 
     def truth(self) -> WorldTruth:
+        """Return the present truth."""
         return self.world.truth(self.now_s)
 
     def _schedule_step(self) -> None:

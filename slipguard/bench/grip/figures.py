@@ -184,8 +184,10 @@ def rendered_difference(results: Iterable[ScenarioResult]) -> float | None:
 
 
 def median(values: Sequence[float]) -> float | None:
+    """Return the median; None without values."""
     return float(np.median(values)) if values else None
 
 
 def quantile(values: Sequence[float], q: float) -> float | None:
+    """Return a quantile, q from 0 to 1; None without values."""
     return float(np.quantile(values, q)) if values else None

@@ -206,6 +206,7 @@ class LiftCourse:
         return min(answers_s, default=None)
 
     def outcome(self, controller: str) -> GripOutcome:
+        """Return what the run has shown so far. controller: its name."""
         loop, scenario = self._loop, self._scenario
         truth, trace = loop.truth(), loop.trace
         times = np.array([now.time_s for now in trace])

@@ -76,6 +76,7 @@ class RotationDrift:
     phase: float = 0.0
 
     def at(self, now_s: float) -> float:
+        """Return the error in degrees at a time."""
         return self.deg * math.sin(2.0 * math.pi * (now_s / self.period_s) + self.phase)
 
 
@@ -114,6 +115,7 @@ class ModeledFinger:
         self._depths_mm.clear()
 
     def add_outliers(self, outliers: RotationOutliers) -> None:
+        """Let single frames be wrong; earlier ones that have not come yet are forgotten."""
         self._off = deque((time_s, outliers.deg) for time_s in outliers.times_s)
 
     def process(self, view: GelView, captured_at_s: float, sequence: int) -> Estimate:
