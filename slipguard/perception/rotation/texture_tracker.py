@@ -50,6 +50,10 @@ searched for there. It fits at both places unless its lack of correlation is lar
 BOWED_MAX = 0.3
 """A texture is that of a bowed edge if a rotation with some shift changes it by less than this share (of squares) of
 what the two change alone: 0.09 to 0.26 for a bowed knife, 0.25 to 0.4 for rods, 0.4 to 1 for most others."""
+DOUBTED_DEG, ASIDE_DEG, ASIDE_TOO = 2.0, 20.0, 1.4
+"""A texture with a larger sigma is also searched for from this far to either side: a coin whose rim is stronger than
+its letters fits nearly as well at all rotations between. It fits there too unless its lack of correlation is larger by
+the third number: 1.0 to 1.3 for such coins, 1.5 and more for contacts with a clear rotation."""
 UNIQUE = 0.1
 """After a gap, the texture's correlation must exceed that at every other rotation by this."""
 SEARCH_S = 0.06
@@ -224,6 +228,7 @@ class TextureTracker:
         fit = fit_texture(self._first, texture_map, start)
         if own_patch or self._bowed:
             fit = self._fit_elsewhere(texture_map, patch, fit)
+        fit = _doubted(self._first, texture_map, fit)
         # A prediction goes on at the last known rate: after some declined frames it may be at the next of many rays.
         self._uneven_pose = fit.pose if fit.uneven > UNEVEN_MAX and fit.alike >= ALIKE_MIN else None
         if fit.declined is None and fit.alike > MEMORY_ALIKE:
@@ -286,7 +291,7 @@ class TextureTracker:
         if key is None:
             return None
         start = replace(self._key_pose, rotation_deg=predicted_deg - key.rotation_deg)
-        fit = fit_texture(key.template, texture_map, start)
+        fit = _doubted(key.template, texture_map, fit_texture(key.template, texture_map, start))
         if fit.declined is not None:
             return None
         self._key_pose = fit.pose
@@ -338,6 +343,19 @@ class TextureTracker:
             rotation = self._memory.corrected(rotation_deg, sigma_deg(fit), fit.ghost)
             shared_deg = math.hypot(shared_deg, self._memory.possible_deg(rotation_deg, fit.ghost))
         return TrackedTexture(rotation, fit.deformation, shift, smooth, shared_deg, fit.twist_deg, fit.lean)
+
+
+def _doubted(template: TextureTemplate, texture_map: TextureMap, fit: TextureFit) -> TextureFit:
+    """Search an uncertain texture from either side, too; sigma covers all rotations at which it fits as well."""
+    if fit.declined is not None or math.hypot(sigma_deg(fit), fit.twist_deg) <= DOUBTED_DEG:
+        return fit
+    spread_deg = fit.spread_deg
+    for by_deg in (-ASIDE_DEG, ASIDE_DEG):
+        aside = replace(fit.pose, rotation_deg=fit.pose.rotation_deg + by_deg)
+        other = fit_texture(template, texture_map, aside)
+        if other.declined is None and 1.0 - other.alike <= ASIDE_TOO * (1.0 - fit.alike):
+            spread_deg = math.hypot(spread_deg, other.pose.rotation_deg - fit.pose.rotation_deg)
+    return replace(fit, spread_deg=spread_deg)
 
 
 def _moved_px(patch: Patch, first: TextureTemplate) -> tuple[float, float]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.texture_map import TextureMapReader
+from slipguard.perception.rotation.texture_map import ImageWindow, TextureMap, TextureMapReader
 from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
 from slipguard.stress.textured_surfaces import (
@@ -136,3 +137,32 @@ def test_a_texture_with_a_face_shows_every_shift() -> None:
     found = Held().see(lettered, 1.0, (121.0, 160.0))
     assert found.smooth is None
     assert found.shift_px == pytest.approx((1.0, 0.0), abs=0.3)
+
+
+def coin(rotation_deg: float, lean: float) -> TextureMap:
+    """The rim stays as it is, stronger on one side by the light or a tilt; only the fine letters show the rotation."""
+    y, x = np.mgrid[-79.5:80.5, -59.5:60.5].astype(np.float32)
+    radius = np.hypot(x, y)
+    rim = (np.exp(-((radius - 30) ** 2) / 8) - 0.7 * np.exp(-((radius - 34) ** 2) / 8)) * (1 + lean * x / 30)
+    letters = cv2.GaussianBlur(np.random.default_rng(5).normal(size=(160, 120)), (0, 0), 1.5)
+    letters *= np.exp(-((radius / 20) ** 4)) / letters.std()
+    letters = cv2.warpAffine(letters, cv2.getRotationMatrix2D((59.5, 79.5), rotation_deg, 1), (120, 160))
+    noise = np.random.default_rng(round(rotation_deg)).normal(0.0, 0.5, (160, 120))
+    curvature = cv2.GaussianBlur(10 * rim + 8 * letters + noise, (0, 0), 1.0)
+    return TextureMap(ImageWindow(0, 0, 120, 160), np.asarray(curvature, np.float32), 0.3)
+
+
+@pytest.mark.parametrize("lean", [0.3, 0.9])
+def test_a_coin_whose_rim_fits_at_many_rotations_is_uncertain(lean: float) -> None:
+    """Its letters had rotated too far between two frames; by its rim it was 10 sigma off."""
+    y, x = np.mgrid[-79.5:80.5, -59.5:60.5]
+    patch = find_patch(np.asarray(np.hypot(x, y) < 33, np.float32), 0.5, 100, 2.0)
+    assert patch is not None
+    template = make_texture_template(coin(0.0, lean), patch)
+    assert template is not None
+    near, far = (TextureTracker(template).track(coin(deg, lean), patch, 2.0, NO_AXIS) for deg in (10.0, 45.0))
+    assert near.rotation.rotation_deg == pytest.approx(10.0, abs=0.5)
+    assert near.rotation.sigma_deg is not None
+    assert near.rotation.sigma_deg < 6.0
+    error_deg = abs((far.rotation.rotation_deg or 0.0) - 45.0)
+    assert far.rotation.sigma_deg is None or error_deg < 2.0 * far.rotation.sigma_deg
