@@ -303,17 +303,19 @@ def _limit_reached(state: GraspState, what: str, params: GuardParams) -> Fault:
 
 def _give_up(state: GraspState, seen: SlipAssessment, observation: Observation, params: GuardParams) -> SlipResponse:
     """Apply the force limit and report: the object is not being held."""
-    rate = f" and still rotating at {seen.rate_deg_s:.0f}°/s" if seen.moving else ""
-    fault = Fault(
-        FaultCode.ROTATED_TOO_FAR,
-        f"rotated {observation.rotation_deg:.0f}° since it was gripped{rate}",
-        "support the object and release it; grip it nearer to its center of mass",
-    )
     force_range = force_limits.present_range(params, observation)
     present_n = target_n = state.grip.target_n
     if force_range is not None:
         target_n = force_range.allowed(params.force_max_n, present_n)
-    if _no_force(state, observation) or target_n <= present_n:
+    tightens = target_n > present_n and not _no_force(state, observation)
+    rate = f" and still rotating at {seen.rate_deg_s:.0f}°/s" if seen.moving else ""
+    force = f": tightening from {present_n:.0f} N to {target_n:.0f} N" if tightens else ""
+    fault = Fault(
+        FaultCode.ROTATED_TOO_FAR,
+        f"rotated {observation.rotation_deg:.0f}° since it was gripped{rate}{force}",
+        "support the object and release it; grip it nearer to its center of mass",
+    )
+    if not tightens:
         return SlipResponse(state, stop_arm=True, fault=fault)
     return SlipResponse(state.with_target(target_n, observation.now_s), target_n, stop_arm=True, fault=fault)
 

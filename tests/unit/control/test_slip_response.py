@@ -273,7 +273,9 @@ def test_one_frame_beyond_is_enough_while_it_slips_and_rotates() -> None:
     response = respond(state(slipping(4.0)), view(45.1, 60.0))
     assert response.fault is not None
     assert response.fault.code is FaultCode.ROTATED_TOO_FAR
-    assert response.fault.observed == "rotated 45° since it was gripped and still rotating at 60°/s"
+    assert response.fault.observed == (
+        "rotated 45° since it was gripped and still rotating at 60°/s: tightening from 40 N to 130 N"
+    )
     assert response.fault.what_to_do == "support the object and release it; grip it nearer to its center of mass"
     assert response.stop_arm
     assert response.hold_n == response.state.grip.target_n == pytest.approx(FORCE_LIMIT_N, abs=0.1)
