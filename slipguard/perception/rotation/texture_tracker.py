@@ -50,7 +50,7 @@ searched for there. It fits at both places unless its lack of correlation is lar
 BOWED_MAX = 0.3
 """A texture is that of a bowed edge if a rotation with some shift changes it by less than this share (of squares) of
 what the two change alone: 0.09 to 0.26 for a bowed knife, 0.25 to 0.4 for rods, 0.4 to 1 for most others."""
-DOUBTED_DEG, ASIDE_DEG, ASIDE_TOO = 2.0, 20.0, 1.4
+DOUBTED_DEG, AWAY_DEG, FITS_AWAY = 2.0, 20.0, 1.4
 """A texture with a larger sigma is also searched for from this far to either side: a coin whose rim is stronger than
 its letters fits nearly as well at all rotations between. It fits there too unless its lack of correlation is larger by
 the third number: 1.0 to 1.3 for such coins, 1.5 and more for contacts with a clear rotation."""
@@ -346,14 +346,14 @@ class TextureTracker:
 
 
 def _doubted(template: TextureTemplate, texture_map: TextureMap, fit: TextureFit) -> TextureFit:
-    """Search an uncertain texture from either side, too; sigma covers all rotations at which it fits as well."""
+    """Search an uncertain texture from both sides, too; sigma covers all rotations at which it fits as well."""
     if fit.declined is not None or math.hypot(sigma_deg(fit), fit.twist_deg) <= DOUBTED_DEG:
         return fit
     spread_deg = fit.spread_deg
-    for by_deg in (-ASIDE_DEG, ASIDE_DEG):
-        aside = replace(fit.pose, rotation_deg=fit.pose.rotation_deg + by_deg)
-        other = fit_texture(template, texture_map, aside)
-        if other.declined is None and 1.0 - other.alike <= ASIDE_TOO * (1.0 - fit.alike):
+    for by_deg in (-AWAY_DEG, AWAY_DEG):
+        start = replace(fit.pose, rotation_deg=fit.pose.rotation_deg + by_deg)
+        other = fit_texture(template, texture_map, start)
+        if other.declined is None and 1.0 - other.alike <= FITS_AWAY * (1.0 - fit.alike):
             spread_deg = math.hypot(spread_deg, other.pose.rotation_deg - fit.pose.rotation_deg)
     return replace(fit, spread_deg=spread_deg)
 
