@@ -43,8 +43,7 @@ ASPECTS = (1.0, 1.01, 1.02, 1.05, 1.1, 1.15, 1.2, 1.25, 1.3, 1.5)
 ROUGHS_PX = (0.0, 0.2, 0.4)
 ASPECT = "error at aspect 1.2"
 ASPECT_ERROR_DEG = 2.0
-"""Largest allowed error at aspect 1.2 for contours without errors, of the fused axis and of the pipeline. A single
-estimator may be off by a little more, with a sigma of 10 degrees and more."""
+"""Largest allowed error at aspect 1.2 for contours without errors."""
 
 
 def _cut_by_frame(probability: Map) -> bool:
@@ -186,8 +185,7 @@ def _begin_round(product: ProductFunctions) -> TrialFunction:
         if choice < len(ASPECTS):
             for estimator, error in errors.items():
                 results.add_curve_point(f"aspect, outline {rough_px:g} px/{estimator}", ASPECTS[choice], error)
-                limited = ASPECTS[choice] == 1.2 and rough_px == 0.0 and estimator in ("fused", "pipeline")
-                if limited and error is not None:
+                if ASPECTS[choice] == 1.2 and rough_px == 0.0 and error is not None:
                     results.check_limit(ASPECT, error, ASPECT_ERROR_DEG)
 
     return trial
