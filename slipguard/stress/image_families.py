@@ -209,32 +209,26 @@ class _TexturedContact:
     def check_unseen_rotation(self, surface: Surface) -> None:
         """Rotate the object during a gap by up to what a fall allows: estimated correctly, or declined.
 
-        A periodic one that falls faster than specified may reach the next period within the shortest gaps.
+        A periodic one that falls faster than specified may reach the next period, and is not judged.
         """
         gap_s, fall_deg_s2 = float(self.rng.choice(UNSEEN_S)), float(self.rng.choice(FALLS_DEG_S2))
         largest_deg = min(0.5 * fall_deg_s2 * gap_s**2, UNSEEN_MAX_DEG)
         rotation_deg = float(self.rng.uniform(-1.0, 1.0)) * largest_deg
+        judged = surface not in PERIODIC or abs(rotation_deg) <= 0.5 * FALL_SPECIFIED_DEG_S2 * gap_s**2
         for k in range(TEXTURE_FRAMES):
             truth_deg = 0.0 if k < 2 else rotation_deg
-            height = self.heights(surface, truth_deg)
-            label, after_s = f"{surface.__name__}, unseen", gap_s if k == 2 else FRAME_S
-            if surface in PERIODIC:
-                self.check_falling(label, height, truth_deg, fall_deg_s2, after_s)
+            height, after_s = self.heights(surface, truth_deg), gap_s if k == 2 else FRAME_S
+            if judged:
+                self.check(f"{surface.__name__}, unseen", height, truth_deg, after_s=after_s)
             else:
-                self.check(label, height, truth_deg, after_s=after_s)
+                self.error(height, truth_deg, after_s)
 
-    def check_falling(
-        self, label: str, height: Heights, truth_deg: float, fall_deg_s2: float, after_s: float = FRAME_S
-    ) -> None:
-        """Process the next frame of a periodic object that falls; check it up to the specified acceleration."""
-        if fall_deg_s2 <= FALL_SPECIFIED_DEG_S2:
-            error = self.check(f"{label} at {fall_deg_s2:.0f} deg/s2", height, truth_deg, after_s=after_s)
-        else:
-            image = self.image(height)
-            estimate = self.results.call("pipeline", self.pipeline.process, contact_map(height), image, after_s)
-            found_deg = None if estimate is None else estimate.rotation_deg
-            error = None if found_deg is None else abs(found_deg - truth_deg)
-        self.results.add_curve_point("relief fall/pipeline", fall_deg_s2, error)
+    def error(self, height: Heights, truth_deg: float, after_s: float = FRAME_S) -> float | None:
+        """Process the next frame without judging its estimate; return its error, None if declined."""
+        image = self.image(height)
+        estimate = self.results.call("pipeline", self.pipeline.process, contact_map(height), image, after_s)
+        found_deg = None if estimate is None else estimate.rotation_deg
+        return None if found_deg is None else abs(found_deg - truth_deg)
 
     def check_fall(self, fall_deg_s2: float) -> None:
         """Let a toothed object rotate with constant acceleration, from any moment between two frames, in full view."""
@@ -245,7 +239,11 @@ class _TexturedContact:
             if abs(truth_deg) > UNSEEN_MAX_DEG:
                 break
             height = self.heights(surface, truth_deg)
-            self.check_falling("falling", height, truth_deg, fall_deg_s2)
+            if fall_deg_s2 <= FALL_SPECIFIED_DEG_S2:
+                error = self.check(f"falling at {fall_deg_s2:.0f} deg/s2", height, truth_deg)
+            else:
+                error = self.error(height, truth_deg)
+            self.results.add_curve_point("relief fall/pipeline", fall_deg_s2, error)
 
     def check_rotating(self, surface: Surface, *, visible: bool) -> float | None:
         """Rotate, shift and press the object harder; return the last error, None if declined."""

@@ -25,7 +25,7 @@ PANELS = (
     ("gray", "white noise on the probability (1 sd)"),
     ("frame noise", "camera noise in gray levels (1 sd), with the network"),
     ("relief noise", "camera noise in gray levels (1 sd), texture only"),
-    ("relief fall", "acceleration of a periodic object in degrees/s2"),
+    ("relief fall", "acceleration of a toothed object in degrees/s2"),
     ("aspect, outline 0 px", "aspect ratio, no contour error"),
     ("aspect, outline 0.2 px", "aspect ratio, contour error 0.2 px"),
     ("aspect, outline 0.4 px", "aspect ratio, contour error 0.4 px"),
