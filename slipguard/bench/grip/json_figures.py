@@ -75,7 +75,7 @@ def as_json(found: GripCampaignResult) -> dict[str, object]:
             "minutes": round(len(found.firm) * found.plan.hold_s / 60.0, 2),
             "false_while_lifted": 0 if ours is None else ours.lifting,
             "false_while_holding": 0 if ours is None else ours.held,
-            "tightened_while_slipping": 0,  # nothing slips in a firm grasp, so every tightening counts as false
+            "tightened_while_slipping": sum(_tightened_after_slip(one.slipguard) for one in found.firm),
             "lifts_tightened": {name: row.lifting for name, row in firm.items()},
         },
     }  # fmt: skip
@@ -214,6 +214,10 @@ class LimitCheck:
             "held": self.kept,
             "not_held_in": [name for name, value in self.by_group.items() if not self.limit.holds(value)],
         }
+
+
+def _tightened_after_slip(outcome: GripOutcome) -> bool:
+    return outcome.tightenings + outcome.held > 0 and not outcome.early
 
 
 def checks(found: Mapping[str, Any]) -> list[LimitCheck]:
