@@ -82,8 +82,7 @@ class LiftCourse:
     def __init__(self, scenario: GripScenario, loop: ClosedLoop) -> None:
         self._scenario, self._loop = scenario, loop
         self._begun_s = self._held_s = self._loaded_s = math.inf
-        controller = loop.controller
-        self._watches = not isinstance(controller, UnguardedController) or type(controller) is not UnguardedController
+        self._watches = type(loop.controller) is not UnguardedController
 
     def grip(self, force_n: float) -> None:
         """Close the jaws until the grip is firm; the cameras expose from then on."""

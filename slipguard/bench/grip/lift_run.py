@@ -67,17 +67,9 @@ def run_lift(
         for other in earlier_grasps(scenario, EARLIER_GRASPS):
             start_s = _earlier(other, decides, start_s)
     rng = np.random.default_rng([scenario.seed, scenario.number, 17])
-    gripper = scenario.pose.gripper
-    loop = ClosedLoop(
-        _world(scenario, plant, start_s),
-        decides,
-        _fingers(scenario, rng, drifts=hold_s > 0.0, rendered=rendered),
-        np.random.default_rng([scenario.seed, scenario.number, 9]),
-        PERCEIVING_S,
-        now_s=start_s,
-        gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
-    )
-    run = LiftCourse(scenario, loop)
+    fingers = _fingers(scenario, rng, drifts=hold_s > 0.0, rendered=rendered)
+    loop_rng = np.random.default_rng([scenario.seed, scenario.number, 9])
+    run = LiftCourse(scenario, _loop(scenario, plant, decides, fingers, loop_rng, start_s))
     run.grip(constant_n(controller, scenario))
     run.lift()
     run.event()
@@ -88,17 +80,9 @@ def run_lift(
 
 def _earlier(scenario: GripScenario, controller: SlipguardController, start_s: float) -> float:
     """Grip, lift and release an object; return the time afterwards."""
-    gripper = scenario.pose.gripper
     rng = np.random.default_rng([scenario.seed, scenario.number, 29])
-    loop = ClosedLoop(
-        _world(scenario, "own", start_s),
-        controller,
-        _fingers(scenario, rng, drifts=False, rendered=False),
-        rng,
-        PERCEIVING_S,
-        now_s=start_s,
-        gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
-    )
+    fingers = _fingers(scenario, rng, drifts=False, rendered=False)
+    loop = _loop(scenario, "own", controller, fingers, rng, start_s)
     run = LiftCourse(scenario, loop)
     run.grip(scenario.first_n)
     run.lift()
@@ -124,6 +108,26 @@ def guard_params(params: GuardParams, scenario: GripScenario) -> GuardParams:
         "no_estimate_force_n": min(params.no_estimate_force_n, limit_n),
     }
     return GuardParams.model_validate(params.model_dump() | changed)
+
+
+def _loop(
+    scenario: GripScenario,
+    plant: PlantName,
+    controller: SlipguardController | UnguardedController,
+    fingers: dict[str, FingerModel],
+    rng: np.random.Generator,
+    start_s: float,
+) -> ClosedLoop:
+    gripper = scenario.pose.gripper
+    return ClosedLoop(
+        _world(scenario, plant, start_s),
+        controller,
+        fingers,
+        rng,
+        PERCEIVING_S,
+        now_s=start_s,
+        gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
+    )
 
 
 def _world(scenario: GripScenario, plant: PlantName, start_s: float) -> World:
