@@ -274,9 +274,7 @@ class TextureTracker:
             left, second_left = 1.0 - fit.alike, 1.0 - second.alike
             if second.declined is not None or second_left > FITS_TOO * left:
                 continue
-            apart_deg = fit.pose.rotation_deg - second.pose.rotation_deg
-            clearly = left > FITS_TOO * second_left
-            fit = second if clearly else replace(fit, spread_deg=math.hypot(fit.spread_deg, apart_deg))
+            fit = second if left > FITS_TOO * second_left else _covering(fit, second)
         return fit
 
     @cached_property
@@ -349,13 +347,18 @@ def _doubted(template: TextureTemplate, texture_map: TextureMap, fit: TextureFit
     """Search an uncertain texture from both sides, too; sigma covers all rotations at which it fits as well."""
     if fit.declined is not None or math.hypot(sigma_deg(fit), fit.twist_deg) <= DOUBTED_DEG:
         return fit
-    spread_deg = fit.spread_deg
     for by_deg in (-AWAY_DEG, AWAY_DEG):
         start = replace(fit.pose, rotation_deg=fit.pose.rotation_deg + by_deg)
         other = fit_texture(template, texture_map, start)
         if other.declined is None and 1.0 - other.alike <= FITS_AWAY * (1.0 - fit.alike):
-            spread_deg = math.hypot(spread_deg, other.pose.rotation_deg - fit.pose.rotation_deg)
-    return replace(fit, spread_deg=spread_deg)
+            fit = _covering(fit, other)
+    return fit
+
+
+def _covering(fit: TextureFit, other: TextureFit) -> TextureFit:
+    """Return the fit with a sigma that covers the rotation of another one, too."""
+    apart_deg = other.pose.rotation_deg - fit.pose.rotation_deg
+    return replace(fit, spread_deg=math.hypot(fit.spread_deg, apart_deg))
 
 
 def _moved_px(patch: Patch, first: TextureTemplate) -> tuple[float, float]:
