@@ -26,6 +26,15 @@ class AxisEstimate:
 
 
 @dataclass(frozen=True, slots=True)
+class RotationEstimate:
+    """A rotation since the reference, degrees counter-clockwise, with its sigma; declined: why there is none."""
+
+    rotation_deg: float | None
+    sigma_deg: float | None
+    declined: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class UnconfirmedRotation:
     """A rotation that several frames in a row agree on, declined as an implausible jump; the other finger may confirm.
 

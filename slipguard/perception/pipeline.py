@@ -17,13 +17,11 @@ from slipguard.perception.contact.change_detector import ChangeDetector
 from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks, ContactGate, block_means, blocks_near
 from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import Estimate, StageTimer
+from slipguard.perception.estimate import Estimate, RotationEstimate, StageTimer
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import ImageQuality
 from slipguard.perception.quality.torn_frame import TornFrames
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
-from slipguard.perception.rotation.axis import AxisEstimation, fuse_axes
-from slipguard.perception.rotation.fusion import RotationEstimate, widen_for_light
 from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.settings import PerceptionSettings
@@ -49,7 +47,7 @@ class ContactSegmenter(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WholeContact:
-    """The last segmented contact: block means, its estimate, and its difference in light.
+    """The last segmented contact: block means, and its estimate.
 
     near: (1200,) bool, the blocks in and next to it. away: (1200,) float32, 0 for these and the blocks next to them,
     which it may reach until the next one, 1 elsewhere.
@@ -59,7 +57,6 @@ class _WholeContact:
     near: NDArray[np.bool_]
     away: NDArray[np.float32]
     estimate: Estimate
-    difference_levels: float
 
 
 class Pipeline:
@@ -112,7 +109,6 @@ class Pipeline:
         self._threshold: float = segmenter.threshold if settings.threshold is None else settings.threshold
         self._frame_px = FRAME_WIDTH_PX / segmenter.input_size[0]
         self._skips = skips
-        self._axes = AxisEstimation(settings.estimator, settings.round_aspect, skips.round)
         self._changes: ChangeDetector | None = None
         if settings.skip_unchanged and skips.unchanged and self._gate.noise_known:
             self._changes = ChangeDetector(self._gate.inverse_std, self._gate.background)
@@ -125,8 +121,7 @@ class Pipeline:
     def reset_reference(self) -> None:
         """Forget the reference; the next stable contact becomes a new one."""
         noise_bgr = self._gate.noise_bgr if self._gate.noise_known else None
-        self._meter = RotationMeter(self._settings, self._axes, self._background, noise_bgr)
-        self._reference_difference_levels = 0.0
+        self._meter = RotationMeter(self._settings, self._background, noise_bgr)
         self._forget_measured()
 
     @property
@@ -221,19 +216,15 @@ class Pipeline:
             self._forget_measured()
             return self._declined(frame, quality.declined, timer)
 
-        had_reference = self.has_reference
         measurement = self._meter.measure(image, patch, frame.captured_at_s, timer)
-        if not had_reference:
-            self._reference_difference_levels = quality.difference_levels
-        rotation = widen_for_light(measurement.rotation, quality.difference_levels - self._reference_difference_levels)
-        axis_deg = fuse_axes(list(measurement.axes.values())).angle_deg
+        axis_deg = measurement.axis.angle_deg
         orientation_deg = None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg)
-        estimate = self._estimate(frame, patch, rotation, measurement.shift, orientation_deg, timer)
+        estimate = self._estimate(frame, patch, measurement.rotation, measurement.shift, orientation_deg, timer)
         timer.mark("track")
         measured = estimate.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
         if measured and measurement.shift is not None:
             away = (~blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))).astype(np.float32)
-            self._whole = _WholeContact(blocks, near, away, estimate, quality.difference_levels)
+            self._whole = _WholeContact(blocks, near, away, estimate)
         self._note_measured(blocks, near, unchanged, estimate)
         return estimate
 
@@ -253,8 +244,7 @@ class Pipeline:
         timer.mark("relief")
         if measurement is None or measurement.shift is None:
             return None
-        levels = whole.difference_levels - self._reference_difference_levels
-        rotation, before = widen_for_light(measurement.rotation, levels), whole.estimate
+        rotation, before = measurement.rotation, whole.estimate
         orientation_deg = before.orientation_deg
         if orientation_deg is not None and rotation.rotation_deg is not None and before.rotation_deg is not None:
             orientation_deg = wrap_axial_deg(orientation_deg + rotation.rotation_deg - before.rotation_deg)
@@ -288,7 +278,6 @@ class Pipeline:
             shift_declined=None if shift is None else self._shift_declined(shift),
             slides=shift is not None and shift.slides,
             declined=None if rotation.declined is None else str(rotation.declined),
-            unconfirmed=rotation.unconfirmed,
             stage_ms=timer.stage_ms,
         )
 
@@ -322,7 +311,6 @@ class Pipeline:
         if quality.declined is not None:
             return False
         self._meter.take_reference(image, patch, now_s, StageTimer(None), rotation_deg)
-        self._reference_difference_levels = quality.difference_levels
         return True
 
     def _refuse_torn(self, image: NDArray[np.uint8], frame: Frame) -> None:

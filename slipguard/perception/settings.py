@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, Strict
 
-EstimatorName = Literal["fused", "registration", "moments", "ellipse", "pca", "skeleton"]
+EstimatorName = Literal["registration", "moments", "ellipse", "pca", "skeleton"]
 
 
 class PerceptionSettings(BaseModel):
@@ -17,8 +17,9 @@ class PerceptionSettings(BaseModel):
 
     model: Annotated[Path, Strict(False)] | None = None
     """Segmentation network (.onnx); None: the one shipped."""
-    estimator: EstimatorName = "fused"
-    """How the rotation is estimated: one of four axis estimators, registration to the reference, or all fused."""
+    estimator: EstimatorName = "registration"
+    """How the rotation is estimated: registration to the reference, or the axis of the mask by one of four estimators,
+    for comparison."""
     reference: Literal["stable", "first"] = "stable"
     """The reference is the first frame of a stable contact area, at most 0.1 s late, or the first with contact."""
     threshold: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None

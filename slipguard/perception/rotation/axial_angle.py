@@ -1,9 +1,8 @@
-"""Axial angles: directions without a head, equal modulo 180 degrees; their mean, and how to unwrap them."""
+"""Axial angles: directions without a head, equal modulo 180 degrees, and how to unwrap them."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 
 def wrap_axial_deg(angle_deg: float) -> float:
@@ -22,13 +21,3 @@ def axial_difference_deg(now_deg: float, before_deg: float) -> float:
 def nearest_rotation_deg(axial_deg: float, near_deg: float) -> float:
     """Unwrap an axis: return the rotation nearest `near_deg` of those that differ from `axial_deg` by 180 degrees."""
     return near_deg + wrap_axial_deg(axial_deg - near_deg)
-
-
-def axial_mean_deg(angles_deg: Iterable[float], weights: Iterable[float]) -> float:
-    """Return the weighted mean of axes, by doubled angles, in (-90, 90]."""
-    x = y = 0.0
-    for angle, weight in zip(angles_deg, weights, strict=True):
-        doubled = math.radians(2.0 * angle)
-        x += weight * math.cos(doubled)
-        y += weight * math.sin(doubled)
-    return wrap_axial_deg(math.degrees(math.atan2(y, x)) / 2.0)

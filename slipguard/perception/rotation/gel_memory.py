@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.texture_registration import Ghost
+from slipguard.perception.estimate import RotationEstimate
+from slipguard.perception.rotation.registration import Ghost
 
 SHARE_STD = 0.2
 """Standard deviation of the share before any rotation is seen: gels that keep up to 0.4 are within two."""
@@ -20,9 +20,9 @@ SHARE_MIN = 0.06
 """A larger share that is certain counts as memory, and rotations are corrected for it."""
 SHARE_MAX = 0.85
 """A gel that keeps more shows too little of the present imprint."""
-SPREAD_SHARE, CORRECTION_SHARE = 1.5, 0.3
+SPREAD_SHARE, CORRECTION_SHARE = 0.5, 0.1
 """Shares in sigma of the uncertain part of the correction, and of the correction made."""
-PAST_SHARE = 0.06
+PAST_SHARE = 0.02
 """Share in sigma of the farthest rotation: a gel that forgets also remembers the poses on the way."""
 UNCERTAIN_MAX = 0.3
 """Largest sigma by memory that is not certain, as a share of the rotation: three sigmas stay below the rotation, so

@@ -9,21 +9,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import StageTimer
-from slipguard.perception.quality.background import estimate_background
-from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes
-from slipguard.perception.rotation.contour_meter import ContourMeter
-from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.gel_contour import GelContour
+from slipguard.perception.estimate import AxisEstimate, RotationEstimate
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
-from slipguard.perception.rotation.texture_map import TextureMap, TextureMapReader
-from slipguard.perception.rotation.texture_template import make_texture_template
 from slipguard.perception.rotation.texture_tracker import TextureTracker
 
 STABLE_FRAMES = 5
@@ -37,42 +29,24 @@ CARRIED_SIGMA_DEG = 1.5
 this factor, if the rotation until then is known to this sigma; that rotation is added from then on."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Reference:
     """What rotations are measured against.
 
-    What only some later frames need is computed when one first needs it, or before that by `prepare`.
-
-    image: the reference frame, (320, 240, 3) uint8. texture_map: its texture. fast_axes: by the fast estimator.
-    shift: measures the shift since then. texture: tracks the texture in the contact; None without a background image,
-    or if the contact has too little texture. contour: registers the contact's contour. gel_contour: recognizes one that
-    is the gel's own.
+    image: the reference frame, (320, 240, 3) uint8. axis: the patch's axis. texture: follows the texture in the
+    contact; None without a background image, for a single axis estimator, or if the contact has too little texture.
+    shift: measures the shift since then.
     """
 
     image: NDArray[np.uint8]
     patch: Patch
-    estimation: AxisEstimation
-    fast_axes: PatchAxes
-    texture_map: TextureMap
+    axis: AxisEstimate
     texture: TextureTracker | None
-    contour: ContourMeter
-    gel_contour: GelContour
     shift: ShiftMeter
-
-    @cached_property
-    def axes(self) -> PatchAxes:
-        """The patch's axes by every estimator."""
-        return self.estimation.all(self.patch, self.fast_axes, StageTimer(None))
 
     def prepare(self) -> None:
         """Compute one thing that later frames may need, if any is missing; called in frames that take little time."""
-        things = (
-            (self.shift, "period"),
-            (self.texture and self.texture.periods, "found"),
-            (self.contour, "template"),
-            (self, "axes"),
-        )
-        for owner, name in things:
+        for owner, name in ((self.shift, "period"), (self.texture, "similar_deg")):
             if owner is not None and name not in vars(owner):
                 getattr(owner, name)
                 return
@@ -80,43 +54,11 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class RotationMeasurement:
-    """Rotation since the reference, its shift (None without a reference), and the axes used."""
+    """Rotation since the reference, its shift (None without a reference), and the patch's axis."""
 
     rotation: RotationEstimate
     shift: ShiftMeasurement | None
-    axes: PatchAxes
-
-
-def make_reference(
-    image: NDArray[np.uint8],
-    patch: Patch,
-    estimation: AxisEstimation,
-    fast_axes: PatchAxes,
-    reader: TextureMapReader | None,
-    rotation_deg: float | None,
-) -> Reference:
-    """Make a patch the reference.
-
-    Args:
-        image: The frame, (320, 240, 3) uint8 BGR.
-        patch: The contact in it.
-        estimation: Estimates the patch's other axes.
-        fast_axes: Its axes by the fast estimator.
-        reader: Reads texture maps; it learns the colors of this contact. None without a background image.
-        rotation_deg: The last known rotation since a stored reference: it may have rotated by any angle since then.
-            None: the patch is the current one.
-    """
-    texture = template = None
-    known = reader is not None
-    reader = reader or TextureMapReader(estimate_background(image))
-    reader.learn(image, patch)
-    texture_map, slopes = reader.read_with_slopes(image, patch)
-    if known:
-        template = make_texture_template(texture_map, patch)
-        texture = None if template is None else TextureTracker(template, rotation_deg is not None)
-    contour, gel_contour = ContourMeter(patch, rotation_deg or 0.0), GelContour(texture_map, slopes, patch)
-    shift = ShiftMeter(template, patch)
-    return Reference(image, patch, estimation, fast_axes, texture_map, texture, contour, gel_contour, shift)
+    axis: AxisEstimate
 
 
 class ReferenceSelector:
@@ -185,11 +127,6 @@ class ReferenceSelector:
         if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
             sigma_deg = math.hypot(rotation.sigma_deg, before_sigma_deg)
             rotation = replace(rotation, rotation_deg=rotation.rotation_deg + before_deg, sigma_deg=sigma_deg)
-        if rotation.unconfirmed is not None:
-            jump = rotation.unconfirmed
-            sigma_deg = math.hypot(jump.sigma_deg, before_sigma_deg)
-            jump = replace(jump, rotation_deg=jump.rotation_deg + before_deg, sigma_deg=sigma_deg)
-            rotation = replace(rotation, unconfirmed=jump)
         shift, before_shift = found.shift, self._carried.shift
         if shift is not None and before_shift is not None:
             if before_shift.shift_px is None:

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason
-from slipguard.perception.rotation.period_count import PERIODIC_SHARE
 from slipguard.perception.rotation.texture_map import REDUCTION
 from slipguard.perception.rotation.texture_template import TextureTemplate
 from slipguard.perception.rotation.texture_tracker import TrackedTexture, rotated
@@ -35,8 +34,10 @@ SLIDE_PX = 5.5
 SLIDE_SHARE = 0.25
 """A periodic texture slides if it moves within SLIDE_S by SLIDE_PX (frame pixels; 3 mm/s), or by this share of its
 period: what looks like part of a period may be several."""
-SMEARED = 1.0
-"""It also slides if it is smeared: the deformation of the contact changes by this within SLIDE_S."""
+SMEARED = 0.1
+"""It also slides if it is smeared: its correlation with the reference changes by this within SLIDE_S."""
+PERIODIC_SHARE = 0.33
+"""A texture is periodic if its mean square difference from itself falls below this share of the highest on the way."""
 CENTER_PX, END_PX = 6.0, 12.0
 """The ends of a contact are measured if its center has moved by this much more than its texture (frame pixels), or both
 by this much while the frame cuts the contact. They count if they have moved by this much more than the texture: a fast
@@ -78,43 +79,40 @@ class ShiftMeter:
         """The shift (right, down) after which the texture repeats, texture pixels; None if it does not."""
         return None if self._template is None else shift_period(self._template)
 
-    def measure(
-        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
-    ) -> ShiftMeasurement:
+    def measure(self, now_s: float, patch: Patch, found: TrackedTexture | None) -> ShiftMeasurement:
         """Return the shift of the reference contact's center at `now_s`.
 
         Args:
             now_s: Capture time of the frame.
             patch: The contact in it.
             found: Its texture; None if the reference has none.
-            contour_px: Shift of the contour, frame pixels.
         """
-        measured = self._measure(now_s, patch, found, contour_px)
+        measured = self._measure(now_s, patch, found)
         (x, y), (own_x, own_y) = measured.shift_px or (0.0, 0.0), (found and found.shift_px) or (0.0, 0.0)
         self._beyond_px = (x - own_x, y - own_y)
         return measured
 
-    def _measure(
-        self, now_s: float, patch: Patch, found: TrackedTexture | None, contour_px: tuple[float, float]
-    ) -> ShiftMeasurement:
+    def _measure(self, now_s: float, patch: Patch, found: TrackedTexture | None) -> ShiftMeasurement:
+        (x, y), (before_x, before_y) = patch.center_px, self._center_px
+        center_px = (x - before_x, y - before_y)
         if patch is self._patch:  # the reference's own frame takes long enough without the search for a period
             return ShiftMeasurement((0.0, 0.0))
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
             return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
         if self._template is None or found is None:
-            return ShiftMeasurement(contour_px)
+            return ShiftMeasurement(center_px)
         rotation_deg, shift_px = found.rotation.rotation_deg, found.shift_px
         if rotation_deg is None or shift_px is None:
-            rotation_deg, shift_px = rotation_deg or 0.0, contour_px
+            rotation_deg, shift_px = rotation_deg or 0.0, center_px
         along = found.smooth or self._suspect_direction(patch, shift_px)
         if along is None:
             return ShiftMeasurement(shift_px)
         offset_px = end_offset_px(self._patch, patch, shift_px, along, rotation_deg)
         if found.smooth is None and (offset_px is None or abs(offset_px) < END_PX):
             return ShiftMeasurement(shift_px)
-        if offset_px is None:  # only the contour is left: a taper shows a shift, a cylinder does not
-            offset_px = (contour_px[0] - shift_px[0]) * along[0] + (contour_px[1] - shift_px[1]) * along[1]
+        if offset_px is None:  # only the center is left: a taper shows a shift, a cylinder does not
+            offset_px = (center_px[0] - shift_px[0]) * along[0] + (center_px[1] - shift_px[1]) * along[1]
         return ShiftMeasurement((shift_px[0] + offset_px * along[0], shift_px[1] + offset_px * along[1]))
 
     def follow(self, now_s: float, found: TrackedTexture) -> ShiftMeasurement:
@@ -156,7 +154,7 @@ class ShiftMeter:
             return bool(recent) and why.startswith(DeclineReason.CONTACT_CHANGED)  # it has just been there
         along = rotated(period, found.rotation.rotation_deg)
         moved_px = (found.shift_px[0] * along[0] + found.shift_px[1] * along[1]) * REDUCTION / period_px
-        recent.append((now_s, moved_px, found.deformation))
+        recent.append((now_s, moved_px, found.best.alike))
         way_px = max(one[1] for one in recent) - min(one[1] for one in recent)
         smeared = max(one[2] for one in recent) - min(one[2] for one in recent)
         return way_px > min(SLIDE_PX, SLIDE_SHARE * period_px) or smeared > SMEARED

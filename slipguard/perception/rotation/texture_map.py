@@ -127,12 +127,6 @@ class TextureMapReader:
         window = ImageWindow.around(patch)
         return self._curvature(window, *self._slopes(image, window))
 
-    def read_with_slopes(self, image: NDArray[np.uint8], patch: Patch) -> tuple[TextureMap, tuple[Field, Field]]:
-        """Return also the gel's slopes to the right and upwards in the map's window: (h, w) float32, gray levels."""
-        window = ImageWindow.around(patch)
-        right, up = self._slopes(image, window)
-        return self._curvature(window, right, up), (_filtered(right, _BLUR, _BLUR), _filtered(up, _BLUR, _BLUR))
-
     def _curvature(self, window: ImageWindow, right: Field, up: Field) -> TextureMap:
         return TextureMap(window, _filtered(right, _SLOPE, _LEVEL) - _filtered(up, _LEVEL, _SLOPE), self._noise)
 

@@ -1,4 +1,4 @@
-"""The texture template: the reference's texture, and how motions change it."""
+"""The texture template: points of the reference's texture, and how motions change them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.rotation.round_contact import round_texture_reason
+from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Field, TextureMap, mask_in_window
 
 SKIRT_PX = 5
@@ -20,7 +20,7 @@ EDGE_PX = 4
 POINTS_MAX = 1500
 POINTS_MIN = 60
 BLOCK_PX = 16.0
-"""Residuals further apart than this are taken to be independent."""
+"""Residuals further apart than this are taken to be independent: 1.7 mm."""
 NEAR_PX = 30.0
 """Partial slip: the middle that sticks, or what is around it, rotates by itself within about this distance (3 mm)."""
 COARSE_PX = 2.3
@@ -29,6 +29,15 @@ differences that do not rotate with it."""
 SMOOTH = 0.8
 """Change of the texture per pixel along a shaft over the camera's noise, r.m.s., below which it is noise: 0.53-0.7 for
 featureless shafts, from 1 for those with an end or a face."""
+CHANGE_MIN = 1.3
+"""Change of the blurred texture by a rotation of one radian (beyond what shift, scale and gain explain) over the
+texture itself, r.m.s.: 0.3-1.0 for plain balls and rings, rendered and real, 1.4 and more for contacts with a face."""
+FAINT_LEVELS, FAINT_SHARE = 1.2, 0.25
+"""Strength of a faint texture, gray levels per pixel, r.m.s. It must change more, since noise also has an axis: by this
+share at that strength, and with the inverse square of the strength. Real faint balls reach a change of 1.3."""
+ARC_SHARE = 0.5
+"""An arc that slides along itself also rotates. A texture is one if its weakest motion, a rotation with a shift,
+changes it by less than this share (of squares) of what the second weakest does."""
 MOTIONS = 5
 """Fitted motions: rotation, two shifts, scale and gain."""
 
@@ -37,50 +46,38 @@ MOTIONS = 5
 class TextureTemplate:
     """The reference's texture: points around its center, their values and their change by each motion.
 
-    place: (3, N) float32, right and down of the center, and 1. fields: (10, N) float32, change by rotation, shift x,
-    shift y, scale and gain, the last of which is the value itself; then by uneven deformation of the gel: twist, two
-    strains, two bends. local: (4, N), weights of a fit's residual that sum up to the rotation (radians) of what is near
-    the grasp axis, and near the contact's center; and to the growth of strength to the right, and downwards (share per
-    r.m.s. distance). local_size: (4,), their norms.
-    block: (N,) number of the neighborhood that each point belongs to. smooth: the direction (right, down; of length 1)
-    along which only noise changes, so that a shift is invisible; None if there is none.
-    noise: the camera's share of the values, r.m.s. image, origin_px: the source of the points, and the center in it.
-    mask: where in the image the texture counts, uint8, 0 or 1.
+    place: (3, N) float32, right and down of the center, and 1.
+    motion: (5, N) float32, change by rotation (rad), shift right, shift down, scale and gain; the last is the value.
+    local: (2, N) float32, weights of a fit's residual that sum up to the clockwise rotation (rad) of what is near the
+    grasp axis, and near the contact's center, against the rest.
+    block: (N,) number of the neighborhood that each point belongs to.
+    smooth: the direction (right, down; of length 1) along which only noise changes, so that a shift is invisible; None
+    if there is none.
+    arc_deg_px: (right, down), by how many degrees a texture that is an arc rotates per pixel of a shift along itself.
+    center_px: the center, texture pixels of the whole image. image, origin_px: the source of the points, and the center
+    in it. mask: where in the image the texture counts, (h, w) uint8, 0 or 1.
     round_reason: None, or why the contact counts as round.
     """
 
     place: Field
-    fields: Field
+    motion: Field
     local: Field
-    local_size: NDArray[np.float64]
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
+    arc_deg_px: tuple[float, float]
     center_px: tuple[float, float]
-    noise: float
     image: Field
     origin_px: tuple[float, float]
     mask: NDArray[np.uint8]
     round_reason: str | None
 
     @property
-    def x_px(self) -> Field:
-        return np.asarray(self.place[0], np.float32)
-
-    @property
-    def y_px(self) -> Field:
-        return np.asarray(self.place[1], np.float32)
-
-    @property
-    def motion(self) -> Field:
-        return self.fields[:MOTIONS]
-
-    @property
     def value(self) -> Field:
-        return np.asarray(self.fields[MOTIONS - 1], np.float32)
+        return np.asarray(self.motion[MOTIONS - 1], np.float32)
 
 
 def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTemplate | None:
-    """Make a template of the texture in and around a patch; None if too little of it lies within the image."""
+    """Return a template of the texture in and around a patch; None if too little of it lies within the image."""
     window, curvature = texture_map.window, texture_map.curvature
     mask = mask_in_window(patch, window)
     m = cv2.moments(mask, True)
@@ -100,8 +97,8 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         return None
     y, x = step * y, step * x
     dx, dy = (x - center_x).astype(np.float32), (y - center_y).astype(np.float32)
-    blur = cv2.GaussianBlur(curvature, (0, 0), COARSE_PX)
-    coarse = _motion(np.asarray(blur, np.float32), x, y, dx, dy)
+    blurred = np.asarray(cv2.GaussianBlur(curvature, (0, 0), COARSE_PX), np.float32)
+    coarse = _motion(blurred, x, y, dx, dy)
     motion = _motion(curvature, x, y, dx, dy)
     smooth = _smooth_direction(motion[1:3], texture_map.noise)
     if smooth is not None:  # a shift measured on noise would wander from frame to frame
@@ -111,17 +108,16 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
     strength = math.sqrt(float(np.mean(np.square(motion[4]))))
     return TextureTemplate(
         np.stack([dx, dy, np.ones_like(dx)]),
-        np.concatenate([motion, _deformations(motion, dx, dy)]),
+        motion,
         local,
-        np.sqrt(np.einsum("ij,ij->i", local, local).astype(np.float64)),
         block - block.min(),
         None if smooth is None else (float(smooth[0]), float(smooth[1])),
+        _arc(motion, math.sqrt(float(np.mean(dx * dx + dy * dy)))),
         (center_x + window.left_px, center_y + window.top_px),
-        texture_map.noise,
         curvature,
         (center_x, center_y),
         np.asarray(wide, np.uint8),
-        round_texture_reason(_change_by_rotation(coarse @ coarse.T), strength),
+        _round_reason(coarse, strength),
     )
 
 
@@ -133,34 +129,24 @@ def _motion(image: Field, x: NDArray[np.intp], y: NDArray[np.intp], dx: Field, d
     return np.asarray(np.stack([gx * dy - gy * dx, gx, gy, -(gx * dx + gy * dy), image[y, x]]), np.float32)
 
 
-def _deformations(motion: Field, dx: Field, dy: Field) -> Field:
-    """Return the change of the image's values by deformations that are not a motion: (5, N) float32.
-
-    A rotation that grows with the distance from the center (twist, partial slip), stretch along one diagonal or axis
-    and shortening across it (shear), and a shift that grows with that distance (bend).
-    """
-    gx, gy = motion[1:3]
-    square = dx * dx + dy * dy
-    far = square / max(float(square.mean()), 1e-6)
-    strains = [gx * dx - gy * dy, gx * dy + gy * dx]
-    size = np.sqrt(np.float32(square.mean()))
-    return np.asarray(np.stack([(gx * dy - gy * dx) * far, *strains, gx * far * size, gy * far * size]), np.float32)
+def _products(motion: Field) -> NDArray[np.float64]:
+    """Return the products of the motions, (5, 5), invertible."""
+    products = (motion @ motion.T).astype(np.float64)
+    products += 1e-6 * (float(np.trace(products)) + 1e-9) / len(products) * np.eye(len(products))
+    return products
 
 
 def _local_weights(motion: Field, dx: Field, dy: Field, center_px: tuple[float, float]) -> Field:
-    """Return the weights that measure what partial slip and a tilt do, each next to the motions: (4, N) float32."""
-    gx, gy, value = motion[1], motion[2], motion[4]
+    """Return the weights that measure what partial slip does next to the motions: (2, N) float32."""
+    gx, gy = motion[1], motion[2]
 
     def rotation_near(x_px: float, y_px: float) -> Field:
         x, y = dx - np.float32(x_px - center_px[0]), dy - np.float32(y_px - center_px[1])
         return np.asarray((gx * y - gy * x) * np.exp((x * x + y * y) * np.float32(-(NEAR_PX**-2))), np.float32)
 
-    size = np.sqrt(np.mean(dx * dx + dy * dy))
     near_axis = rotation_near((WIDTH_PX - 1) / 2.0, (HEIGHT_PX - 1) / 2.0)
-    local = np.stack([near_axis, rotation_near(*center_px), value * dx / size, value * dy / size]).astype(np.float64)
-    normal = (motion @ motion.T).astype(np.float64)
-    normal += 1e-6 * (float(np.trace(normal)) + 1e-9) / len(normal) * np.eye(len(normal))
-    local -= np.linalg.solve(normal, motion @ local.T).T @ motion
+    local = np.stack([near_axis, rotation_near(*center_px)]).astype(np.float64)
+    local -= np.linalg.solve(_products(motion), motion @ local.T).T @ motion
     return np.asarray(local / np.maximum(np.sum(local**2, axis=1, keepdims=True), 1e-9), np.float32)
 
 
@@ -170,8 +156,31 @@ def _smooth_direction(shifts: Field, noise: float) -> Field | None:
     return None if square[0] >= (SMOOTH * noise) ** 2 else np.asarray(axes[:, 0], np.float32)
 
 
-def _change_by_rotation(normal: NDArray[np.float32]) -> float:
-    """Return the change by a rotation of one radian, beyond the other motions, over the image itself, r.m.s."""
-    whole = normal.astype(np.float64)
-    whole += 1e-9 * (np.trace(whole) + 1e-9) * np.eye(len(whole))
-    return math.sqrt(1.0 / float(np.linalg.inv(whole)[0, 0]) / max(float(whole[-1, -1]), 1e-9))
+def _arc(motion: Field, radius_px: float) -> tuple[float, float]:
+    """Return by how many degrees the texture rotates per pixel right and down while it slides along itself.
+
+    That is the weakest of the rigid motions: the one that changes the texture least. radius_px: r.m.s. distance of the
+    points from the center, at which a rotation moves them as far as a shift does.
+    """
+    rigid = np.linalg.inv(np.linalg.inv(_products(motion))[:3, :3])
+    rigid[0] /= radius_px
+    rigid[:, 0] /= radius_px
+    changes, motions = np.linalg.eigh(rigid)
+    turn, right, down = motions[:, 0]
+    share = max(1.0 - float(changes[0] / changes[1]) / ARC_SHARE, 0.0)
+    deg_px = share * math.degrees(turn / radius_px)
+    return float(deg_px * right), float(deg_px * down)
+
+
+def _round_reason(coarse: Field, strength: float) -> str | None:
+    """Return why a texture changes too little when rotated, as that of a ball; None if it changes enough.
+
+    coarse: (5, N), motions of the blurred texture. strength: r.m.s. of the texture, gray levels per pixel.
+    """
+    products = _products(coarse)
+    levels = math.sqrt(1.0 / float(np.linalg.inv(products)[0, 0]))
+    change = levels / math.sqrt(max(float(products[-1, -1]), 1e-9))
+    limit = CHANGE_MIN * (1.0 + FAINT_SHARE * (FAINT_LEVELS / max(strength, 1e-3)) ** 2)
+    if not change < limit:
+        return None
+    return explain(DeclineReason.ROUND, f"texture changes by {change:.2f} per radian, limit {limit:.2f}")
