@@ -17,11 +17,12 @@ from slipguard.perception.contact.change_detector import ChangeDetector
 from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks, ContactGate, block_means, blocks_near
 from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import Estimate, RotationEstimate, StageTimer
+from slipguard.perception.estimate import Estimate, StageTimer
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import ImageQuality
 from slipguard.perception.quality.torn_frame import TornFrames
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
+from slipguard.perception.rotation.reference import RotationMeasurement
 from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.rotation.shift_meter import ShiftMeasurement
 from slipguard.perception.settings import PerceptionSettings
@@ -217,9 +218,7 @@ class Pipeline:
             return self._declined(frame, quality.declined, timer)
 
         measurement = self._meter.measure(image, patch, frame.captured_at_s, timer)
-        axis_deg = measurement.axis.angle_deg
-        orientation_deg = None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg)
-        estimate = self._estimate(frame, patch, measurement.rotation, measurement.shift, orientation_deg, timer)
+        estimate = self._estimate(frame, patch, measurement, timer)
         timer.mark("track")
         measured = estimate.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
         if measured and measurement.shift is not None:
@@ -244,23 +243,12 @@ class Pipeline:
         timer.mark("relief")
         if measurement is None or measurement.shift is None:
             return None
-        rotation, before = measurement.rotation, whole.estimate
-        orientation_deg = before.orientation_deg
-        if orientation_deg is not None and rotation.rotation_deg is not None and before.rotation_deg is not None:
-            orientation_deg = wrap_axial_deg(orientation_deg + rotation.rotation_deg - before.rotation_deg)
-        estimate = self._estimate(frame, patch, rotation, measurement.shift, orientation_deg, timer)
+        estimate = self._estimate(frame, patch, measurement, timer)
         timer.mark("track")
         return replace(estimate, segmented=False)
 
-    def _estimate(
-        self,
-        frame: Frame,
-        patch: Patch,
-        rotation: RotationEstimate,
-        shift: ShiftMeasurement | None,
-        orientation_deg: float | None,
-        timer: StageTimer,
-    ) -> Estimate:
+    def _estimate(self, frame: Frame, patch: Patch, measurement: RotationMeasurement, timer: StageTimer) -> Estimate:
+        rotation, shift, axis_deg = measurement.rotation, measurement.shift, measurement.orientation_deg
         now_s = frame.captured_at_s
         return Estimate(
             sequence=frame.sequence,
@@ -272,7 +260,7 @@ class Pipeline:
             method=self._settings.estimator,
             rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
-            orientation_deg=orientation_deg,
+            orientation_deg=None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg),
             rate_deg_s=None if rotation.rotation_deg is None else self._meter.rate_deg_s(now_s),
             shift_mm=None if shift is None or shift.shift_px is None else self._shift_mm(shift.shift_px),
             shift_declined=None if shift is None else self._shift_declined(shift),

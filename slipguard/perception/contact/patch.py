@@ -63,7 +63,6 @@ class Patch:
     frame_px: frame pixels per network pixel.
     clipped: the sides of the frame that the patch touches.
     regions: number of separate regions in it.
-    ragged_px: error of its contour estimated from its raggedness, network pixels; 0 for most.
     """
 
     mask: NDArray[np.uint8]
@@ -74,7 +73,6 @@ class Patch:
     frame_px: float
     clipped: ClippedSides
     regions: int
-    ragged_px: float = 0.0
 
     @property
     def area_px(self) -> int:
@@ -197,7 +195,6 @@ def _crop(mask: NDArray[np.uint8], probability: NDArray[np.float32], frame_px: f
         frame_px=frame_px,
         clipped=ClippedSides(x == 0, y == 0, x + w == width, y + h == height),
         regions=regions,
-        ragged_px=ragged_px(crop),
     )
 
 

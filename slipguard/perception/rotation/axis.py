@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.contact.patch import Patch, ragged_px
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, RotationEstimate
 from slipguard.perception.rotation.axial_angle import nearest_rotation_deg
@@ -76,6 +76,6 @@ def _checked_axis(
         declined = explain(DeclineReason.CLIPPED, detail)
     if declined is not None:
         return AxisEstimate(name, None, None, center, declined)
-    contour_px = math.hypot(_CONTOUR_PX[name], axis.rough_px, patch.ragged_px)
+    contour_px = math.hypot(_CONTOUR_PX[name], axis.rough_px, ragged_px(patch.mask))
     sigma = axis.sigma_deg(contour_px * (1.0 + CUT_SIGMA * share))
     return AxisEstimate(name, axis.angle_deg, sigma, center)

@@ -54,11 +54,14 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class RotationMeasurement:
-    """Rotation since the reference, its shift (None without a reference), and the patch's axis."""
+    """Rotation since the reference, its shift (None without a reference), and the orientation of the contact's axis.
+
+    orientation_deg: axial, in (-90, 90], counter-clockwise in the image; None if the rotation or the axis is unknown.
+    """
 
     rotation: RotationEstimate
     shift: ShiftMeasurement | None
-    axis: AxisEstimate
+    orientation_deg: float | None
 
 
 class ReferenceSelector:

@@ -8,7 +8,8 @@ The noise model has three terms:
     spread    the residual, summed up by blocks: how far the parts of the contact disagree about the rotation. It
               contains the camera's noise and every deformation that differs from block to block. (Cluster-robust
               covariance: K.-Y. Liang, S. Zeger, "Longitudinal data analysis using generalized linear models",
-              Biometrika 73 (1986) 13-22.)
+              Biometrika 73 (1986) 13-22.) The more a contact has deformed, the more of it all blocks have in common:
+              the spread counts more the less the texture correlates with the reference's
     lead      the middle has rotated further than the rest. Gel that sticks to its surroundings lags behind the object,
               none leads: the object has rotated with the middle, and the rotation is corrected by a part of the lead
     rolling   an arc that has slid along itself has also rotated, and a tilted object rolls along its arc
@@ -30,8 +31,8 @@ from slipguard.perception.rotation.texture_template import EDGE_PX, MOTIONS, Tex
 ITERATIONS_MAX = 8
 ROBUST = 2.5
 """Differences beyond this many times their r.m.s. are weighted less."""
-ALIKE_MIN = 0.7
-"""Smallest correlation of the reference's texture with the current one."""
+ALIKE_MIN = 0.5
+"""Smallest correlation of the reference's texture with the current one: real gels sheared by 1 mm reach 0.5."""
 VISIBLE_MIN = 0.45
 """Smallest share of the reference's texture within the image."""
 CORRELATED = 30.0
@@ -42,8 +43,10 @@ _ROUND_PRIOR_STD = np.array([1e-6, 6.0, 6.0, 0.1, 0.5])
 """The same for a round texture, whose rotation is held."""
 
 FLOOR_DEG = 0.03
-SPREAD, LEAD, ROLLING = 2.6, 0.5, 0.9
+SPREAD, LEAD, ROLLING = 1.5, 0.4, 0.8
 """Shares of the three terms in sigma, fitted by `python -m tests.campaigns fit-sigma`."""
+DEFORMED = 0.055
+"""A correlation this far below 1 doubles the spread's share. Fitted likewise."""
 LEAD_CORRECTION = 0.45
 """Share of the lead of the middle by which the rotation is corrected, fitted likewise."""
 LEAD_SIGMAS, LEAD_MAX_DEG = 1.5, 12.0
@@ -111,7 +114,8 @@ class Registration:
     @property
     def sigma_deg(self) -> float:
         """One standard deviation of the rotation."""
-        return math.hypot(FLOOR_DEG, SPREAD * self.spread_deg, LEAD * self.lead_deg, ROLLING * self.rolling_deg)
+        spread_deg = SPREAD * (1.0 + (1.0 - self.alike) / DEFORMED) * self.spread_deg
+        return math.hypot(FLOOR_DEG, spread_deg, LEAD * self.lead_deg, ROLLING * self.rolling_deg)
 
     @property
     def rotation_deg(self) -> float:

@@ -24,7 +24,10 @@ SIMILAR = 0.5
 of which not all edges touch, a cross and four pins 0.75, other contacts of tools 0.6 and less."""
 APART_DEG = 12.0
 """Registrations from starts that are closer together end at the same pose."""
+SIMILAR_APART_DEG = 6.0
+"""The finest period that is followed up: 60 teeth."""
 STARTS_MAX = 4
+"""A search begins at this many rotations."""
 
 _ROTATIONS_DEG = np.arange(-180.0, 180.0, STEP_DEG)
 
@@ -52,8 +55,10 @@ def correlation_curve(
     return np.asarray((value @ own) / np.maximum(size, np.float32(1e-9)), np.float32)
 
 
-def maxima_deg(curve: NDArray[np.float32], near_deg: float = 0.0, within_deg: float = 180.0) -> list[float]:
-    """Return the rotations at the maxima of a curve, the highest first, at least `APART_DEG` apart.
+def maxima_deg(
+    curve: NDArray[np.float32], near_deg: float, within_deg: float, apart_deg: float = APART_DEG
+) -> list[float]:
+    """Return the rotations at the maxima of a curve, the highest first, at least `apart_deg` apart.
 
     They are those nearest `near_deg`, and at most `within_deg` away from there.
     """
@@ -61,7 +66,7 @@ def maxima_deg(curve: NDArray[np.float32], near_deg: float = 0.0, within_deg: fl
     found: list[float] = []
     for k in sorted(np.flatnonzero(peak), key=lambda one: -curve[one]):
         rotation_deg = near_deg + math.remainder(float(_ROTATIONS_DEG[k]) - near_deg, 360.0)
-        if abs(rotation_deg - near_deg) <= within_deg and all(abs(rotation_deg - one) >= APART_DEG for one in found):
+        if abs(rotation_deg - near_deg) <= within_deg and all(abs(rotation_deg - one) >= apart_deg for one in found):
             found.append(rotation_deg)
     return found
 
@@ -71,4 +76,4 @@ def similar_deg(template: TextureTemplate) -> list[float]:
     left, top = (round(at - inside) for at, inside in zip(template.center_px, template.origin_px, strict=True))
     own = TextureMap(ImageWindow(left, top, 0, 0), template.image)
     curve = correlation_curve(template, own, (0.0, 0.0))
-    return [one for one in maxima_deg(curve) if one != 0.0]
+    return [one for one in maxima_deg(curve, 0.0, 180.0, SIMILAR_APART_DEG) if one != 0.0]

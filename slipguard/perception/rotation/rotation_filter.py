@@ -93,15 +93,9 @@ class RotationFilter:
         faster_deg = lag_deg_s * gap_s + 0.5 * ACCELERATION_DEG_S2 * gap_s**2
         return min(max(abs(self._last_rate_deg_s) * gap_s, faster_deg), 180.0)
 
-    def log_prior(self, now_s: float, rotation_deg: float) -> float:
-        """Return the log probability of a rotation at `now_s` by the motion alone, up to a constant."""
-        away_deg = rotation_deg - self.predicted_deg(now_s)
-        if self._others:
-            near = min(((0.0, 0.0), *self._others), key=lambda one: abs(away_deg - one[0]))
-            return near[1]
-        if self._unseen:
-            return 0.0
-        return -0.5 * (away_deg / (self.reach_deg(now_s) / REACH_SIGMAS + FREE_DEG)) ** 2
+    def credible(self, now_s: float, rotation_deg: float, than_deg: float) -> bool:
+        """Return whether the motion makes a rotation not much less probable than another one."""
+        return self._log_prior(now_s, rotation_deg) - self._log_prior(now_s, than_deg) > math.log(SECOND_MAX)
 
     def update(self, now_s: float, found: Sequence[Hypothesis]) -> RotationEstimate:
         """Return the most probable of the rotations found in the frame of `now_s`, without sigma, or decline.
@@ -112,7 +106,7 @@ class RotationFilter:
         """
         if not all(math.isfinite(one.rotation_deg) and math.isfinite(one.log_likelihood) for one in found):
             return RotationEstimate(None, None, DeclineReason.NOT_A_NUMBER)
-        prior = {one: self.log_prior(now_s, one.rotation_deg) for one in found}
+        prior = {one: self._log_prior(now_s, one.rotation_deg) for one in found}
         best, *rest = sorted(found, key=lambda one: -(prior[one] + one.log_likelihood))
         away_deg = best.rotation_deg - self.predicted_deg(now_s)
         limit_deg = self.reach_deg(now_s) + AHEAD_MAX_DEG
@@ -156,6 +150,16 @@ class RotationFilter:
         mean_v = sum(v for _, v in points) / len(points)
         spread = sum((t - mean_t) ** 2 for t, _ in points)
         return sum((t - mean_t) * (v - mean_v) for t, v in points) / spread
+
+    def _log_prior(self, now_s: float, rotation_deg: float) -> float:
+        """Return the log probability of a rotation at `now_s` by the motion alone, up to a constant."""
+        away_deg = rotation_deg - self.predicted_deg(now_s)
+        if self._others:
+            near = min(((0.0, 0.0), *self._others), key=lambda one: abs(away_deg - one[0]))
+            return near[1]
+        if self._unseen:
+            return 0.0
+        return -0.5 * (away_deg / (self.reach_deg(now_s) / REACH_SIGMAS + FREE_DEG)) ** 2
 
     @property
     def _last_rate_deg_s(self) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, RotationEstimate, StageTimer
+from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.axis import estimate_axis, rotation_between_axes
 from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement
 from slipguard.perception.rotation.registration import Registration
@@ -86,20 +87,18 @@ class RotationMeter:
         """
         choice = self._choice
         stable = choice.is_stable(patch)
-        axis = estimate_axis(patch, self._axis_estimator, self._settings.round_aspect)
-        timer.mark("angle")
         if self.reference is not None:
-            found = self._measure(self.reference, image, patch, now_s, axis, timer)
+            found = self._measure(self.reference, image, patch, now_s, timer)
             if not choice.outgrown(self.reference, found.rotation, patch, stable):
                 return choice.with_carried(found)
             choice.carry(choice.with_carried(found))
         elif stable or choice.waited(now_s):
             choice.carry(None)
         else:
-            return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, axis)
+            return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, None)
         reference = self.take_reference(image, patch, now_s, timer)
         choice.provisional = not stable
-        return choice.with_carried(self._measure(reference, image, patch, now_s, axis, timer))
+        return choice.with_carried(self._measure(reference, image, patch, now_s, timer))
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
@@ -125,7 +124,7 @@ class RotationMeter:
         ):
             return None
         reference.prepare()  # this frame takes little time
-        return self._checked(reference, found.rotation, reference.shift.follow(now_s, found), reference.axis)
+        return self._checked(reference, found.rotation, reference.shift.follow(now_s, found))
 
     def take_reference(
         self,
@@ -144,7 +143,7 @@ class RotationMeter:
             timer: Collects the time per stage.
             rotation_deg: The last known rotation since a stored reference; None: the patch is the current one.
         """
-        axis = estimate_axis(patch, self._axis_estimator, self._settings.round_aspect)
+        axis = self._axis(patch, timer)
         template = None
         if self._reader is not None:
             self._reader.learn(image, patch)
@@ -162,7 +161,6 @@ class RotationMeter:
         image: NDArray[np.uint8],
         patch: Patch,
         now_s: float,
-        axis: AxisEstimate,
         timer: StageTimer,
     ) -> RotationMeasurement:
         """Measure rotation and shift since the reference."""
@@ -176,9 +174,14 @@ class RotationMeter:
         elif self._reader is not None:
             rotation = RotationEstimate(None, None, DeclineReason.CONTACT_TOO_SMALL)
         else:
-            rotation = self._rotation_of_axis(reference, axis, now_s)
+            rotation = self._rotation_of_axis(reference, self._axis(patch, timer), now_s)
         timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
-        return self._checked(reference, rotation, reference.shift.measure(now_s, patch, found), axis)
+        return self._checked(reference, rotation, reference.shift.measure(now_s, patch, found))
+
+    def _axis(self, patch: Patch, timer: StageTimer) -> AxisEstimate:
+        axis = estimate_axis(patch, self._axis_estimator, self._settings.round_aspect)
+        timer.mark("angle")
+        return axis
 
     def _track(self, texture: TextureTracker, image: NDArray[np.uint8], patch: Patch, now_s: float) -> TrackedTexture:
         assert self._reader is not None
@@ -194,12 +197,15 @@ class RotationMeter:
         return found if found.rotation_deg is None else replace(found, sigma_deg=rotation.sigma_deg)
 
     def _checked(
-        self, reference: Reference, rotation: RotationEstimate, shift: ShiftMeasurement, axis: AxisEstimate
+        self, reference: Reference, rotation: RotationEstimate, shift: ShiftMeasurement
     ) -> RotationMeasurement:
         """Decline a rotation that is too uncertain, and return the shift at the grasp axis."""
         limit = self._settings.sigma_max_deg
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"
             rotation = RotationEstimate(None, None, explain(DeclineReason.UNCERTAIN, detail))
+        orientation_deg = None
+        if reference.axis.angle_deg is not None and rotation.rotation_deg is not None:
+            orientation_deg = wrap_axial_deg(reference.axis.angle_deg + rotation.rotation_deg)
         # While the rotation is declined, the axis is taken to be where it last was: a jump would look like a slip.
-        return RotationMeasurement(rotation, reference.shift.at_axis(shift, self._rotations.last_deg), axis)
+        return RotationMeasurement(rotation, reference.shift.at_axis(shift, self._rotations.last_deg), orientation_deg)

@@ -12,12 +12,13 @@ from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.rotation.registration import Registration, TexturePose, register
 from slipguard.perception.rotation.rotation_curve import (
     APART_DEG,
+    SIMILAR_APART_DEG,
     STARTS_MAX,
     correlation_curve,
     maxima_deg,
     similar_deg,
 )
-from slipguard.perception.rotation.rotation_filter import SECOND_MAX, Hypothesis, RotationFilter
+from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
 from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
 from slipguard.perception.rotation.texture_template import TextureTemplate
 
@@ -26,6 +27,8 @@ CAPTURE_DEG = 12.0
 SEARCH_S = 0.06
 """After a search that found nothing, the next one follows this much later: it takes longer than all other work of a
 frame."""
+FOUND_ALIKE = 0.7
+"""Smallest correlation of a texture that is found by a search: another object's may correlate by chance."""
 MEMORY_ALIKE = 0.85
 """The gel's memory is estimated only while the texture's correlation with the reference is above this."""
 
@@ -116,14 +119,28 @@ class TextureTracker:
         found: list[Registration] = []
         for one in starts:
             _add(found, register(self._template, texture_map, one))
-        if not found[0].declined and not rotations.others_deg:
-            likely_prior = rotations.log_prior(now_s, found[0].pose.rotation_deg) + math.log(SECOND_MAX)
-            also = [found[0].pose.rotation_deg + by for by in self.similar_deg]
-            also = [one for one in also if rotations.log_prior(now_s, one) > likely_prior]
-            also.sort(key=lambda one: -rotations.log_prior(now_s, one))
-            for one_deg in also[:STARTS_MAX]:
-                _add(found, register(self._template, texture_map, replace(found[0].pose, rotation_deg=one_deg)))
+        if found[0].declined is None and not rotations.others_deg:
+            here_deg = found[0].pose.rotation_deg
+            for by_deg in self._similar_within_reach(now_s, here_deg)[:STARTS_MAX]:
+                _add(
+                    found, register(self._template, texture_map, replace(found[0].pose, rotation_deg=here_deg + by_deg))
+                )
+        if searches:
+            near_deg = CAPTURE_DEG if rotations.reach_deg(now_s) < 180.0 and not self.similar_deg else 0.0
+            found = [one if self._followed(one, start, near_deg) else _by_chance(one) for one in found]
         return [one for one in found if one.declined is None] or found
+
+    def _followed(self, one: Registration, start: TexturePose, near_deg: float) -> bool:
+        """Return whether a registration is near the expected rotation, or too good to be by chance."""
+        return abs(one.pose.rotation_deg - start.rotation_deg) < near_deg or one.alike >= FOUND_ALIKE
+
+    def _similar_within_reach(self, now_s: float, here_deg: float) -> list[float]:
+        """Return the rotations from `here_deg` that the texture cannot tell from it and the motion allows."""
+        nearest = (-SIMILAR_APART_DEG, SIMILAR_APART_DEG)
+        if not any(self._rotations.credible(now_s, here_deg + by_deg, here_deg) for by_deg in nearest):
+            return []
+        found = [by for by in self.similar_deg if self._rotations.credible(now_s, here_deg + by, here_deg)]
+        return sorted(found, key=abs)
 
     def _tracked(self, rotation: RotationEstimate, best: Registration) -> TrackedTexture:
         """Return a rotation with its sigma, corrected for the gel's memory, and the shift."""
@@ -144,6 +161,11 @@ class TextureTracker:
 def _log_likelihood(found: Registration) -> float:
     """Return the log likelihood of a pose: of the independent points' squares, the share that it does not explain."""
     return -0.5 * found.information * (1.0 - min(max(found.alike, 0.0), 1.0) ** 2)
+
+
+def _by_chance(one: Registration) -> Registration:
+    detail = f"texture correlates by {one.alike:.2f}, limit {FOUND_ALIKE:.2f} after a gap"
+    return replace(one, declined=one.declined or explain(DeclineReason.CONTACT_CHANGED, detail))
 
 
 def _add(found: list[Registration], one: Registration) -> None:
