@@ -23,10 +23,15 @@ FREE_DEG = 0.15
 """Noise of a rotation that is no acceleration."""
 REACH_SIGMAS = 2.5
 """The largest credible way from the predicted rotation, in standard deviations of the motion prior."""
+UNSEEN_DEG = 45.0
+"""Standard deviation of the rotation of an object that has been held while nothing measured it: what falls by more is
+lost."""
 SECOND_MAX = 0.05
 """Largest probability of all other hypotheses together."""
-AHEAD_MAX_DEG = 15.0
-"""Largest predicted rotation since the last one, and the largest jump of a contact that deforms."""
+AHEAD_MAX_DEG = 45.0
+"""Largest predicted rotation since the last one."""
+JUMP_DEG = 15.0
+"""Largest jump of a contact that deforms beyond the credible rotation."""
 RATE_WINDOW_S = 0.10
 """The rate is the slope of the rotations of this period: six frames at 60 Hz."""
 RATE_STALE_S = 0.30
@@ -65,7 +70,7 @@ class RotationFilter:
         return [away_deg for away_deg, _ in self._others]
 
     def start(self, now_s: float, rotation_deg: float = 0.0, unseen: bool = False) -> None:
-        """Set the rotation at `now_s`. unseen: the object may have rotated by any angle since then."""
+        """Set the rotation at `now_s`. unseen: the object has been held unseen since then."""
         self._history.clear()
         self._history.append((now_s, rotation_deg))
         self._last = (now_s, rotation_deg)
@@ -109,20 +114,21 @@ class RotationFilter:
         prior = {one: self._log_prior(now_s, one.rotation_deg) for one in found}
         best, *rest = sorted(found, key=lambda one: -(prior[one] + one.log_likelihood))
         away_deg = best.rotation_deg - self.predicted_deg(now_s)
-        limit_deg = self.reach_deg(now_s) + AHEAD_MAX_DEG
+        limit_deg = self.reach_deg(now_s) + JUMP_DEG
         if not self._others and abs(away_deg) > limit_deg:
             detail = f"{away_deg:+.0f} deg from the expected rotation, limit {limit_deg:.0f} deg"
             return RotationEstimate(None, None, explain(DeclineReason.JUMP, detail))
         highest = prior[best] + best.log_likelihood
         odds = sum(math.exp(prior[one] + one.log_likelihood - highest) for one in rest)
         ambiguous = odds > SECOND_MAX * (1.0 + odds)
+        if self._others and abs(away_deg) > limit_deg:  # another hypothesis than the most probable one until now
+            self._history.clear()
         self._others = [(one.rotation_deg - best.rotation_deg, prior[one] - prior[best]) for one in rest if ambiguous]
         self._unseen = False
         self._unexpected_deg = abs(away_deg) if abs(away_deg) <= limit_deg else 0.0
         self._last = (now_s, best.rotation_deg)
         self._append(now_s, best.rotation_deg)
         if ambiguous:
-            self._history.clear()
             detail = f"{best.rotation_deg:+.0f} and {rest[0].rotation_deg:+.0f} deg"
             return RotationEstimate(None, None, explain(DeclineReason.SEVERAL_ROTATIONS, detail))
         return RotationEstimate(best.rotation_deg, None)
@@ -158,7 +164,7 @@ class RotationFilter:
             near = min(((0.0, 0.0), *self._others), key=lambda one: abs(away_deg - one[0]))
             return near[1]
         if self._unseen:
-            return 0.0
+            return -0.5 * (away_deg / UNSEEN_DEG) ** 2
         return -0.5 * (away_deg / (self.reach_deg(now_s) / REACH_SIGMAS + FREE_DEG)) ** 2
 
     @property

@@ -84,7 +84,8 @@ class TextureTracker:
                 return last
         found = self._found(texture_map, start, center_px, now_s, searches)
         best = max(found, key=lambda one: one.alike)
-        if best.declined is None:
+        declined = best.declined or (self._by_chance(best, start, now_s) if searches else None)
+        if declined is None:
             hypotheses = {Hypothesis(one.pose.rotation_deg, _log_likelihood(one)): one for one in found}
             rotation = self._rotations.update(now_s, list(hypotheses))
             if rotation.declined is None or self._rotations.others_deg:
@@ -92,7 +93,7 @@ class TextureTracker:
                 best = next(one for one in found if one.pose.rotation_deg == last_deg)
                 self._pose = best.pose
         else:
-            rotation = RotationEstimate(None, None, best.declined)
+            rotation = RotationEstimate(None, None, declined)
         tracked = self._tracked(rotation, best)
         self._searched = (now_s, tracked) if searches and rotation.declined else (-math.inf, None)
         return tracked
@@ -125,14 +126,15 @@ class TextureTracker:
                 _add(
                     found, register(self._template, texture_map, replace(found[0].pose, rotation_deg=here_deg + by_deg))
                 )
-        if searches:
-            near_deg = CAPTURE_DEG if rotations.reach_deg(now_s) < 180.0 and not self.similar_deg else 0.0
-            found = [one if self._followed(one, start, near_deg) else _by_chance(one) for one in found]
         return [one for one in found if one.declined is None] or found
 
-    def _followed(self, one: Registration, start: TexturePose, near_deg: float) -> bool:
-        """Return whether a registration is near the expected rotation, or too good to be by chance."""
-        return abs(one.pose.rotation_deg - start.rotation_deg) < near_deg or one.alike >= FOUND_ALIKE
+    def _by_chance(self, best: Registration, start: TexturePose, now_s: float) -> str | None:
+        """Return why the best registration after a gap may be by chance; None if it is near the expected rotation."""
+        near = abs(best.pose.rotation_deg - start.rotation_deg) < CAPTURE_DEG
+        if best.alike >= FOUND_ALIKE or (near and self._rotations.reach_deg(now_s) < 180.0 and not self.similar_deg):
+            return None
+        detail = f"texture correlates by {best.alike:.2f}, limit {FOUND_ALIKE:.2f} after a gap"
+        return explain(DeclineReason.CONTACT_CHANGED, detail)
 
     def _similar_within_reach(self, now_s: float, here_deg: float) -> list[float]:
         """Return the rotations from `here_deg` that the texture cannot tell from it and the motion allows."""
@@ -161,11 +163,6 @@ class TextureTracker:
 def _log_likelihood(found: Registration) -> float:
     """Return the log likelihood of a pose: of the independent points' squares, the share that it does not explain."""
     return -0.5 * found.information * (1.0 - min(max(found.alike, 0.0), 1.0) ** 2)
-
-
-def _by_chance(one: Registration) -> Registration:
-    detail = f"texture correlates by {one.alike:.2f}, limit {FOUND_ALIKE:.2f} after a gap"
-    return replace(one, declined=one.declined or explain(DeclineReason.CONTACT_CHANGED, detail))
 
 
 def _add(found: list[Registration], one: Registration) -> None:
