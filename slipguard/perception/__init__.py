@@ -5,6 +5,6 @@ The path of one frame, `pipeline.Pipeline.process`:
     rotation.rotation_meter   contact moves as a whole: its texture alone, without the network
     contact.gate              no contact: skip the rest
     contact.segmenter, patch  network, contact patch; then quality.image_quality
-    rotation.rotation_meter   texture, axis and contour since the reference; rotation.fusion combines them
+    rotation.rotation_meter   the texture since the reference; rotation/__init__.py lists the files
     estimate                  the result: rotation and sigma, or `declined` with the reason
 """
