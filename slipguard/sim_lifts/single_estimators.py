@@ -8,8 +8,7 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axis import ESTIMATORS, estimate_axis
-from slipguard.perception.rotation.fusion import rotation_between_axes
+from slipguard.perception.rotation.axis import ESTIMATORS, estimate_axis, rotation_between_axes
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import ResumingPipeline
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
@@ -74,17 +73,10 @@ def _rotations(seen: list[TimedPatch], name: str, sign: float) -> list[Estimated
     if not seen:
         return []
     reference = estimate_axis(seen[0].patch, name)
-    if reference.angle_deg is None or reference.sigma_deg is None:
-        return []
     rotations: list[EstimatedRotation] = []
     near_deg = 0.0
     for one in seen:
-        now = estimate_axis(one.patch, name)
-        if now.angle_deg is None or now.sigma_deg is None:
-            continue
-        rotation = rotation_between_axes(
-            now.angle_deg, now.sigma_deg, reference.angle_deg, reference.sigma_deg, near_deg
-        )
+        rotation = rotation_between_axes(estimate_axis(one.patch, name), reference, near_deg)
         if rotation.rotation_deg is None or rotation.sigma_deg is None or rotation.sigma_deg > SIGMA_MAX_DEG:
             continue
         near_deg = rotation.rotation_deg

@@ -17,8 +17,7 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.rotation_tracker import RotationTracker
+from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -104,7 +103,7 @@ class ModeledFinger:
         self._wandered_s: float | None = None
         self._declined_until_s = -math.inf
         self._depths_mm: deque[float] = deque(maxlen=REFERENCE_FRAMES)
-        self._tracker = RotationTracker()
+        self._rotations = RotationFilter()
         self._reference: GelView | None = None
         self._start_error_deg = 0.0
         self._start_error_mm = np.zeros(2)
@@ -130,7 +129,7 @@ class ModeledFinger:
             if len(self._depths_mm) < REFERENCE_FRAMES:
                 return plain
             self._reference, self._start_error_deg, self._start_error_mm = view, error_deg, error_mm
-            self._tracker.start(captured_at_s)
+            self._rotations.start(captured_at_s)
         start, moved = self._reference, self._moved(view)
         true_deg = view.angle_deg - start.angle_deg
         shift = (1.0 + self._shift_per_mm) * np.array([view.x_mm - start.x_mm, view.y_mm - start.y_mm])
@@ -140,14 +139,14 @@ class ModeledFinger:
             return replace(estimate, declined="too uncertain")
         rotation_deg = true_deg + error_deg - self._start_error_deg
         rotation_deg += self._bias_per_deg * true_deg + self._bias_deg * math.tanh(true_deg) + self._growth_deg * moved
-        rotation = self._tracker.accept(captured_at_s, RotationEstimate(rotation_deg, self._error.sigma_deg))
+        rotation = self._rotations.update(captured_at_s, [Hypothesis(rotation_deg, 0.0)])
         known = rotation.rotation_deg is not None
         return replace(
             estimate,
             rotation_deg=rotation.rotation_deg,
-            sigma_deg=rotation.sigma_deg,
+            sigma_deg=self._error.sigma_deg if known else None,
             orientation_deg=0.0 if known else None,
-            rate_deg_s=self._tracker.rate_deg_s(captured_at_s) if known else None,
+            rate_deg_s=self._rotations.rate_deg_s(captured_at_s) if known else None,
             declined=rotation.declined,
         )
 
