@@ -22,7 +22,7 @@ from slipguard.perception.settings import EstimatorName, PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, Skips
 
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
-NO_SKIP = Skips(no_contact=False, unchanged=False, round=False, whole=False)
+NO_SKIP = Skips(no_contact=False, unchanged=False, whole=False)
 PEER_MODEL = "peer-deeplabv3plus-resnet18-timing.onnx"
 Kind = Literal["ours", "paper", "subtraction"]
 

@@ -9,7 +9,7 @@ from slipguard.bench.results import PUBLISHED, BenchReport, BenchRow
 from slipguard.tools.plotting import figure, save
 
 STAGES = ("gate", "segment", "regions", "relief", "angle", "thin", "register", "reference", "track")
-MARKERS = {"fused": "o", "registration": "s", "moments": "D", "ellipse": "^", "pca": "v", "skeleton": "P"}
+MARKERS = {"registration": "o", "moments": "D", "ellipse": "^", "pca": "v", "skeleton": "P"}
 
 
 def draw_bench(found: BenchReport, path: Path) -> None:

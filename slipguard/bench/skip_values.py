@@ -23,7 +23,7 @@ from slipguard.bench.slip_onset import (
 from slipguard.control.finger_fusion import fuse
 from slipguard.control.slip_detector import assess_slip
 from slipguard.control.slip_memory import SlipMemory
-from slipguard.datasets.rendered_grasps import ROUND_PLAIN, render_grasp
+from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, Skips, repeat_estimate, second_finger_can_skip
@@ -64,7 +64,6 @@ def measure_skips(
     found = [
         _no_contact(default, 1 if quick else 6, empty_delays),
         _unchanged(quick, default, held, unchanged_delays),
-        _round(default, ROUND_PLAIN[:1] if quick else ROUND_PLAIN),
     ]
     return tuple(found if quick else [*found, measure_second_finger(default)])
 
@@ -132,23 +131,6 @@ def _longest(delays: list[int | None]) -> int | None:
 def _detected(delays: list[int | None]) -> str:
     missed = delays.count(None)
     return f"{len(delays) - missed} slips after rest detected, {missed} not detected without skipping either"
-
-
-def _round(default: BenchPipeline, objects: tuple[str, ...]) -> SkipResult:
-    spent: dict[bool, PipelineResults] = {True: PipelineResults(), False: PipelineResults()}
-    differ = 0
-    for name in objects:
-        grasp = render_grasp(name, SEED)
-        angles: dict[bool, list[float | None]] = {}
-        for skip in (True, False):
-            pipeline = replace(default, skips=replace(ALL_SKIPS, round=skip))
-            spent[skip].run(pipeline.open(grasp), grasp, grasp.shots)
-            processor = pipeline.open(grasp)
-            angles[skip] = [processor.process(shot.frame).rotation_deg for shot in grasp.shots]
-        differ += sum(one != other for one, other in zip(angles[True], angles[False], strict=True))
-    saved = float(np.median(spent[False].busy_ms) - np.median(spent[True].busy_ms))
-    how = f"{len(spent[True].busy_ms)} frames of plain round contacts; {differ} estimates differ"
-    return SkipResult("round: no thinning", True, saved, None, None, None, how)
 
 
 @dataclass(slots=True)

@@ -24,13 +24,12 @@ DISAGREE_SIGMAS, DISAGREE_DEG = 3.0, 1.0
 class Skips:
     """Which stages may be skipped; switched off only to measure what each saves.
 
-    no_contact: the network, without contact. unchanged: everything, on an unchanged image. round: thinning of a round
-    patch. whole: the network, while the texture shows that the contact moves as a whole.
+    no_contact: the network, without contact. unchanged: everything, on an unchanged image.
+    whole: the network, while the texture shows that the contact moves as a whole.
     """
 
     no_contact: bool = True
     unchanged: bool = True
-    round: bool = True
     whole: bool = True
 
 

@@ -52,7 +52,7 @@ PAPER_PATH = Path(__file__).resolve().parents[3] / "models" / "deeplabv3plus-res
 
 def found() -> BenchReport:
     ours = BenchRow(
-        "net + fused", "net", "fused", 3.0, 5.0, 0.3, 0.6, 1.2, 0.05, 0.95, math.nan, 700, 10,
+        "net + registration", "net", "registration", 3.0, 5.0, 0.3, 0.6, 1.2, 0.05, 0.95, math.nan, 700, 10,
         mean_ms_per_frame_grasp=0.7, turn_error_by_quartile_deg=(0.1, 0.2, 0.3, 0.4), pareto=True,
         stage_ms={"segment": (1.3, 1.5, 1.4), "thin": (0.3, 0.4, 0.1)},
     )  # fmt: skip
@@ -65,8 +65,8 @@ def found() -> BenchReport:
     ]
     slip = effect_result("partial slip", EffectErrors(5, [(0.5, 1.0), (9.0, 2.0)], [3.0] * 5, [7.0], [0.1, 0.5], 5), 1)
     skip = SkipResult("unchanged", True, 2.0, 1.4, 0.001, 0, "of 3600 frames")
-    return BenchReport({"processor": "test", "onnxruntime": "1", "opencv": "4"}, (ours,), (peer, plain), "net + fused",
-                 tuple(thin), (skip,), ("a note",), (slip,))  # fmt: skip
+    machine = {"processor": "test", "onnxruntime": "1", "opencv": "4"}
+    return BenchReport(machine, (ours,), (peer, plain), ours.name, tuple(thin), (skip,), ("a note",), (slip,))
 
 
 def test_the_json_has_the_public_keys_in_order_and_null_for_unknown_values() -> None:
@@ -127,7 +127,7 @@ def test_a_table_is_written_between_the_markers_only(tmp_path: Path) -> None:
     assert text.startswith("before\n")
     assert text.endswith("after\n")
     assert "old" not in text
-    assert "net + fused (default)" in text
+    assert "net + registration (default)" in text
     for content in ("no markers", f"{bench_table.BEGIN} {bench_table.BEGIN} {bench_table.END}"):
         page.write_text(content)
         with pytest.raises(InputError, match="once each"):
@@ -159,7 +159,7 @@ def short(grasp: RenderedGrasp, count: int = 12) -> RenderedGrasp:
 def test_results_of_one_grasp_give_a_row() -> None:
     grasp = short(render_grasp("key", 2, with_masks=True))
     pipeline_under_test = next(
-        one for one in with_small_network(None, all_without_skipping=False) if one.estimator == "fused"
+        one for one in with_small_network(None, all_without_skipping=False) if one.estimator == "registration"
     )
     results = PipelineResults()
     results.run(pipeline_under_test.open(grasp), grasp, grasp.shots)

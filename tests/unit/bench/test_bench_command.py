@@ -48,7 +48,7 @@ def _short_grasps_of_one_object(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.campaign
 def test_large_networks_process_the_same_grasps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipelines, "ESTIMATORS", ("fused", "moments"))
+    monkeypatch.setattr(pipelines, "ESTIMATORS", ("registration", "moments"))
     monkeypatch.setattr(bench, "FULL_GRASPS", 2)
     monkeypatch.setattr(bench, "measure_skips", lambda *_: ())
     monkeypatch.setattr(bench, "compare_thinning", lambda *_, **__: ())

@@ -28,7 +28,7 @@ class FixedProcessor:
 
     def process(self, frame: Frame) -> Estimate:
         contact = self._skipped is None
-        estimate = Estimate(frame.sequence, 0.0, 0.0, contact, 900, "fused", declined="fixed")
+        estimate = Estimate(frame.sequence, 0.0, 0.0, contact, 900, "registration", declined="fixed")
         return replace(estimate, skipped=self._skipped)
 
 
@@ -58,7 +58,7 @@ def test_errors_exclude_declined_frames_and_objects_outside_the_manifest() -> No
 def test_the_minute_of_a_large_network_is_computed_with_the_skipped_frames() -> None:
     like = HoldingResult(frames=100, wall_s=0.1, measured_s=0.08, skipped={"unchanged": 70, "no contact": 10})
     assert (like.mean_ms, like.measured_ms) == pytest.approx((1.0, 4.0))
-    large = BenchPipeline("ours", "large", "fused", PAPER_PATH, "frame")
+    large = BenchPipeline("ours", "large", "registration", PAPER_PATH, "frame")
     tallies = {large.name: PipelineResults(busy_ms=[18.0, 18.0])}
     row = _row(large, tallies, tallies, {}, like)
     assert row.mean_ms_per_frame_grasp == pytest.approx(1.0 + 0.2 * (18.0 - 4.0))

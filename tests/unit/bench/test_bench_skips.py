@@ -21,7 +21,7 @@ def default() -> BenchPipeline:
     return next(
         one
         for one in with_small_network(None, all_without_skipping=False)
-        if one.estimator == "fused" and one.skips != NO_SKIP
+        if one.estimator == "registration" and one.skips != NO_SKIP
     )
 
 
