@@ -4,40 +4,30 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
-from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import StageTimer
-from slipguard.perception.rotation.axis import AxisEstimation, PatchAxes
-from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.rotation_meter import RotationMeter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import LightChange, random_unit
-from slipguard.stress.product_functions import FRAME_S, MAP_PX, THRESHOLD, ProductFunctions
-from slipguard.stress.shapes import ELONGATED, ShapePose, probability_map, roughness
+from slipguard.stress.product_functions import FRAME_S, ProductFunctions, ScriptedPipeline
+from slipguard.stress.textured_surfaces import LEVEL, Heights, LedLights, contact_map, heights, lettered, shaded_image
 from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
-DRIFT = "drift of the tracked rotation"
-HOLDING = "drift of the whole pipeline"
+DRIFT = "drift of a swinging texture"
+HOLDING = "drift of a held object"
 DRIFT_DEG = 0.1
-SWING_FRAMES = 1000
+SWING_FRAMES = 120
 """Period of the swing, which crosses every multiple of 90 degrees; also the frames of one trial."""
 SWING_DEG = 200.0
-REFERENCE_DEG = 37
-VARIANTS = 3
-"""Drawings of every whole degree, each with another contour error."""
-ROUGH_PX = 0.2
-"""Contour error in network pixels; that of the shipped network is about 0.3."""
-MIN_AREA_PX = 200.0
-SHAPE = ELONGATED["hook"]
-_NO_IMAGE: NDArray[np.uint8] = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), np.uint8)
+NOISE_LEVELS = 1.0
+CENTER_PX = (119.5, 159.5)
+BACKGROUND = np.full((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), round(LEVEL), np.uint8)
 
 OBJECTS = ("coin", "key")
 """Round with texture, and with an axis. Both are pressed until they differ from their reference."""
@@ -54,59 +44,25 @@ LIGHT_LEVELS, LIGHT_PERIOD_S = 3.0, 240.0
 UNIT_SEED = 8100
 
 
-class _RotatedContacts(AxisEstimation):
-    """The contact rotated to whole degrees, with its axes; drawn on first use."""
-
-    def __init__(self, product: ProductFunctions) -> None:
-        self._product = product
-        self._patches: dict[tuple[int, int], Patch] = {}
-        self._known_axes: dict[int, PatchAxes] = {}
-
-    def at(self, angle_deg: int, variant: int) -> Patch:
-        """Return the patch; variant 0 has no contour error. Equal arguments give equal results."""
-        key = (angle_deg % 360, variant)
-        if key not in self._patches:
-            rough = roughness(np.random.default_rng(key), ROUGH_PX if variant else 0.0)
-            shown = probability_map(SHAPE, ShapePose(float(key[0])), rough)
-            patch = self._product.find_patch(shown, THRESHOLD, MIN_AREA_PX, MAP_PX)
-            if patch is None:
-                raise ValueError(f"no patch at {angle_deg} degrees")
-            self._patches[key] = patch
-            self._known_axes[id(patch)] = {"moments": self._product.estimate(patch, "moments")}
-        return self._patches[key]
-
-    def fast(self, patch: Patch, timer: StageTimer) -> PatchAxes:
-        return self._known_axes[id(patch)]
-
-    def all(self, patch: Patch, fast: PatchAxes, timer: StageTimer) -> PatchAxes:
-        return fast
-
-
 def _begin_drift(product: ProductFunctions) -> TrialFunction:
-    contacts = _RotatedContacts(product)
-    # Contours only. Texture, further references and skipped frames belong to the family `holding`.
-    settings = PerceptionSettings(reference="first", estimator="registration")
-    meter = RotationMeter(settings, contacts, tracker=product.tracker())
-    frame = 0
+    pipeline = ScriptedPipeline(product, background=BACKGROUND)
 
-    def measure(angle_deg: int, variant: int) -> RotationEstimate:
-        patch = contacts.at(angle_deg, variant)
-        return meter.measure(_NO_IMAGE, patch, frame * FRAME_S, StageTimer(None)).rotation
+    @cache
+    def height(rotation_deg: int) -> Heights:
+        return heights(lettered, float(rotation_deg), CENTER_PX, 1.0)
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
-        nonlocal frame
-        if frame == 0:
-            results.call("meter", measure, REFERENCE_DEG, 0)
         errors = []
-        for variant in rng.integers(1, VARIANTS + 1, SWING_FRAMES):
-            frame += 1
-            truth = round(SWING_DEG * math.sin(2.0 * math.pi * frame / SWING_FRAMES))
-            rotation = results.call("meter", measure, REFERENCE_DEG + truth, int(variant))
-            if rotation is None:
+        for frame in range(SWING_FRAMES):
+            truth_deg = round(SWING_DEG * math.sin(2.0 * math.pi * frame / SWING_FRAMES))
+            shown = height(truth_deg)
+            image = shaded_image(shown, LedLights(), NOISE_LEVELS, rng)
+            estimate = results.call("pipeline", pipeline.process, contact_map(shown), image)
+            if estimate is None:
                 return
-            error = results.check_angle("meter", rotation.rotation_deg, rotation.sigma_deg, float(truth), axial=False)
-            if error is not None and rotation.rotation_deg is not None:
-                errors.append(rotation.rotation_deg - truth)
+            error = results.check_rotation("pipeline", estimate, float(truth_deg))
+            if error is not None and estimate.rotation_deg is not None:
+                errors.append(estimate.rotation_deg - truth_deg)
         if errors:
             results.check_limit(DRIFT, abs(float(np.mean(errors))), DRIFT_DEG)
 
@@ -172,7 +128,7 @@ def _begin_holding(product: ProductFunctions) -> TrialFunction:
 
 
 DRIFTING = TrialFamily(
-    "drift", "a million frames that swing across ±90°, through registration and tracker", 1000, 270.0, _begin_drift,
+    "drift", "a texture that swings across ±90° and ±180° through the whole pipeline", 1_000, 900.0, _begin_drift,
     SWING_FRAMES, continuous=True, min_answered_share=0.95,
 )  # fmt: skip
 HOLD = TrialFamily(

@@ -57,6 +57,6 @@ def _begin_effects(product: ProductFunctions) -> TrialFunction:
 
 
 EFFECT_SWEEPS = TrialFamily(
-    "effects", "rocking, gel memory, partial slip and periodic texture, each swept beyond its range", 4_000, 700.0,
+    "effects", "rocking, gel memory, partial slip and periodic texture, each swept beyond its range", 4_000, 350.0,
     _begin_effects, 40, min_answered_share=0.4,
 )  # fmt: skip

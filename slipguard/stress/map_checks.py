@@ -1,9 +1,10 @@
-"""Checks that must hold for every probability map: thinning, axis estimates, symmetry and registration."""
+"""Checks that must hold for every probability map: thinning, patch, axis estimates, and the whole pipeline."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import repeat
 
 import cv2
 import numpy as np
@@ -11,23 +12,11 @@ from numpy.typing import NDArray
 
 from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import AxisEstimate
-from slipguard.perception.rotation.axis import ESTIMATORS, FUSED_ESTIMATORS, fuse_axes
-from slipguard.perception.rotation.contour_registration import ContourPose
-from slipguard.perception.rotation.contour_template import make_contour_template
+from slipguard.perception.rotation.axis import ESTIMATORS
 from slipguard.stress.product_functions import MAP_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
 from slipguard.stress.trial_family import FamilyResults
 
 Map = NDArray[np.float32]
-
-
-def rotate_and_mirror(array: NDArray[np.generic], which: int) -> NDArray[np.generic]:
-    """Return one of eight symmetric versions: `which & 4` mirrors left-right, then `which & 3` quarter turns ccw."""
-    return np.ascontiguousarray(np.rot90(np.fliplr(array) if which & 4 else array, which & 3))
-
-
-def rotated_axis_deg(angle_deg: float, which: int) -> float:
-    """Return the axis after `rotate_and_mirror`, not wrapped."""
-    return (-angle_deg if which & 4 else angle_deg) + 90.0 * (which & 3)
 
 
 def check_thinning(mask: NDArray[np.uint8], product: ProductFunctions, results: FamilyResults) -> None:
@@ -57,12 +46,10 @@ def find_checked_patch(
 
 
 def estimate_axes(patch: Patch, product: ProductFunctions, results: FamilyResults) -> dict[str, AxisEstimate]:
-    """Return the axis by every estimator and fused, after checking range, sigma and the reason for declining."""
-    found = {name: results.call(name, product.estimate, patch, name) for name in ESTIMATORS}
-    parts = [one for name in FUSED_ESTIMATORS if (one := found[name]) is not None]
-    found["fused"] = results.call("fused", fuse_axes, parts) if len(parts) == len(FUSED_ESTIMATORS) else None
+    """Return the axis by every estimator after checking range, sigma and the reason for declining."""
     valid = {}
-    for name, one in found.items():
+    for name in ESTIMATORS:
+        one = results.call(name, product.estimate, patch, name)
         if one is None:
             continue
         angle = one.angle_deg
@@ -102,53 +89,22 @@ def check_axis_change(
     return errors
 
 
-def check_symmetry(
-    probability: Map, which: int, min_area_px: float, product: ProductFunctions, results: FamilyResults
-) -> None:
-    """Check that a mirrored or rotated map gives the mirrored or rotated axis."""
-    patch = find_checked_patch(probability, min_area_px, product, results)
-    if patch is None:
-        return
-    before = estimate_axes(patch, product, results)
-    transformed = np.asarray(rotate_and_mirror(probability, which), np.float32)
-    other = find_checked_patch(transformed, min_area_px, product, results)
-    if other is None:
-        results.add_failure("limit", "no patch is found after the map is mirrored or rotated")
-        return
-    now = estimate_axes(other, product, results)
-    for name in before.keys() & now.keys():
-        angle, sigma = before[name].angle_deg, before[name].sigma_deg
-        if angle is None or sigma is None:
-            continue
-        own = now[name].sigma_deg
-        both = None if own is None else math.hypot(own, sigma)
-        results.check_angle(name, now[name].angle_deg, both, rotated_axis_deg(angle, which), axial=True)
-
-
-def check_registration_with_itself(patch: Patch, product: ProductFunctions, results: FamilyResults) -> None:
-    """Check that a patch registered to its own contour has not rotated."""
-
-    def register() -> tuple[float | None, float | None]:
-        registration = product.registrar(make_contour_template(patch), patch).fit(ContourPose())
-        pose, sigma_deg = registration.pose, registration.sigma_deg
-        results.check_finite("registration", pose.rotation_deg, pose.dx_px, pose.dy_px, *pose.growth, sigma_deg)
-        return (pose.rotation_deg, sigma_deg) if registration.declined is None else (None, None)
-
-    found = results.call("registration", register)
-    if found is not None:
-        results.check_angle("registration", *found, 0.0, axial=False)
-
-
 def check_sequence(
-    pipeline: ScriptedPipeline, maps: Iterable[tuple[Map, float | None]], results: FamilyResults
+    pipeline: ScriptedPipeline,
+    maps: Iterable[tuple[Map, float | None]],
+    results: FamilyResults,
+    label: str = "pipeline",
+    images: Iterable[NDArray[np.uint8] | None] = repeat(None),
 ) -> float | None:
     """Process maps with their true rotations (None: no rotation is visible) and check each estimate.
+
+    images: Of these frames; without them for a pipeline without a background image.
 
     Returns:
         The absolute error of the last estimate in degrees; None if it was declined.
     """
     error = None
-    for probability, truth_deg in maps:
-        estimate = results.call("pipeline", pipeline.process, probability)
-        error = None if estimate is None else results.check_rotation("pipeline", estimate, truth_deg)
+    for (probability, truth_deg), image in zip(maps, images, strict=False):
+        estimate = results.call(label, pipeline.process, probability, image)
+        error = None if estimate is None else results.check_rotation(label, estimate, truth_deg)
     return error

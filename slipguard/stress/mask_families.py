@@ -1,27 +1,29 @@
-"""Trial families on masks: every degenerate mask through the whole pipeline, and a million random ones."""
+"""Trial family on masks: every degenerate mask through the whole pipeline, with and without a background image."""
 
 from __future__ import annotations
+
+from itertools import cycle
 
 import cv2
 import numpy as np
 
 from slipguard.perception.contact.patch import MEAN_MIN
-from slipguard.stress.map_checks import (
-    Map,
-    check_registration_with_itself,
-    check_sequence,
-    check_symmetry,
-    check_thinning,
-    find_checked_patch,
-    rotate_and_mirror,
+from slipguard.stress.map_checks import Map, check_sequence, check_thinning, estimate_axes, find_checked_patch
+from slipguard.stress.masks import Mask, degenerate_masks
+from slipguard.stress.product_functions import (
+    MAP_HEIGHT_PX,
+    MAP_WIDTH_PX,
+    THRESHOLD,
+    ProductFunctions,
+    ScriptedPipeline,
 )
-from slipguard.stress.masks import Mask, degenerate_masks, random_mask
-from slipguard.stress.product_functions import MAP_WIDTH_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
+from slipguard.stress.textured_surfaces import LEVEL, LedLights, heights, lettered, shaded_image
 from slipguard.stress.trial_family import FamilyResults, TrialFamily, TrialFunction
 
 STYLES = 3
 """How a mask becomes a map: 0 and 1; at the threshold, and just above the smallest mean of a contact; blurred."""
-STEADY_FRAMES = 6
+FLIPS: tuple[tuple[int, ...], ...] = ((), (0,), (1,), (0, 1))
+STEADY_FRAMES = 4
 
 
 def as_map(mask: Mask, style: int) -> Map:
@@ -36,47 +38,33 @@ def as_map(mask: Mask, style: int) -> Map:
 
 def _begin_degenerate(product: ProductFunctions) -> TrialFunction:
     masks = list(degenerate_masks().values())
+    background = np.full((320, 240, 3), round(LEVEL), np.uint8)
+    pressed, noise = heights(lettered, 20.0, (119.5, 159.5), 1.0), np.random.default_rng(0)
+    images = cycle([shaded_image(pressed, LedLights(), 1.0, noise) for _ in range(STEADY_FRAMES)])
 
     def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
         seed, number = divmod(seed, len(masks))
-        style, which = divmod(seed, 8)
-        mask = np.asarray(rotate_and_mirror(masks[number], which), np.uint8)
+        style, which = divmod(seed, len(FLIPS))
+        mask = np.ascontiguousarray(np.flip(masks[number], FLIPS[which]))
         check_thinning(mask, product, results)
         probability = as_map(mask, style % STYLES)
         for min_area_px in (1.0, 200.0):
-            check_symmetry(probability, int(rng.integers(1, 8)), min_area_px, product, results)
-        patch = find_checked_patch(probability, 1.0, product, results)
-        if patch is not None:
-            check_registration_with_itself(patch, product, results)
-        if max(mask.shape) == 160:
-            _check_at_rest(probability if mask.shape[1] == MAP_WIDTH_PX else probability.T, product, results)
-
-    return trial
-
-
-def _check_at_rest(probability: Map, product: ProductFunctions, results: FamilyResults) -> None:
-    """Show the map at rest, then a full and an empty map, then the map again: the rotation stays zero."""
-    probability = np.ascontiguousarray(probability)
-    interruption = [np.ones_like(probability), np.zeros_like(probability), probability]
-    shown = [probability] * STEADY_FRAMES + interruption
-    check_sequence(ScriptedPipeline(product, "stable"), ((one, 0.0) for one in shown), results)
-
-
-def _begin_random(product: ProductFunctions) -> TrialFunction:
-    def trial(rng: np.random.Generator, seed: int, results: FamilyResults) -> None:
-        mask = random_mask(rng)
-        check_thinning(mask, product, results)
-        probability = as_map(mask, int(rng.choice((0, 2))))
-        check_symmetry(probability, int(rng.integers(1, 8)), float(rng.choice((1, 100))), product, results)
+            patch = find_checked_patch(probability, min_area_px, product, results)
+            if patch is not None:
+                estimate_axes(patch, product, results)
+        if mask.shape != (MAP_HEIGHT_PX, MAP_WIDTH_PX):
+            return
+        # At rest, then a full and an empty map, then the map again: the rotation stays zero.
+        shown = [probability] * STEADY_FRAMES + [np.ones_like(probability), np.zeros_like(probability), probability]
+        at_rest = [(one, 0.0) for one in shown]
+        check_sequence(ScriptedPipeline(product), at_rest, results, "pipeline, mask")
+        textured = ScriptedPipeline(product, background=background, every_map=True)
+        check_sequence(textured, at_rest, results, "pipeline, texture", images)
 
     return trial
 
 
 DEGENERATE = TrialFamily(
-    "degenerate", "degenerate masks in eight orientations", len(degenerate_masks()) * 8 * STYLES, 30.0,
-    _begin_degenerate, min_answered_share=0.2,
-)  # fmt: skip
-RANDOM = TrialFamily(
-    "random", "random masks: thinning as in OpenCV, symmetric axes", 1_000_000, 1.8, _begin_random,
-    min_answered_share=0.8,
+    "degenerate", "degenerate masks, flipped, through the whole pipeline",
+    len(degenerate_masks()) * len(FLIPS) * STYLES, 40.0, _begin_degenerate, min_answered_share=0.15,
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Masks that are hard for estimators: named degenerate ones, and random ones of many kinds."""
+"""Masks that are hard for estimators, by name."""
 
 from __future__ import annotations
 
@@ -120,31 +120,3 @@ def _solids() -> dict[str, Mask]:
         "two equal solids": _at((slice(20, 50), slice(20, 50)), (slice(110, 140), slice(70, 100))),
         "solid and fragments": _at((slice(40, 90), slice(40, 60)), *[(k, k) for k in range(100, 119, 3)]),
     }
-
-
-def random_mask(rng: np.random.Generator) -> Mask:
-    """Return a random mask: noise, blob, ellipses, polygons, lines, or a single row or column; 2 % are full size."""
-    kind = int(rng.integers(7))
-    largest = 160 if rng.random() < 0.02 else 48
-    height, width = (int(v) for v in rng.integers(1, largest + 1, 2))
-    if kind == 5:
-        height, width = (1, width) if rng.random() < 0.5 else (height, 1)
-    if kind in (0, 5):
-        return (rng.random((height, width), dtype=np.float32) < rng.uniform(0.02, 0.98)).astype(np.uint8)
-    if kind in (1, 6):
-        noise = rng.standard_normal((height, width), dtype=np.float32)
-        noise = np.asarray(cv2.GaussianBlur(noise, (0, 0), float(rng.uniform(1.0, 6.0))), np.float32)
-        return (noise > np.quantile(noise, rng.uniform(0.1, 0.9))).astype(np.uint8)
-    mask = np.zeros((height, width), np.uint8)
-    for _ in range(int(rng.integers(1, 4))):
-        center = (int(rng.integers(-2, width + 2)), int(rng.integers(-2, height + 2)))
-        if kind == 2:
-            axes = (int(rng.integers(1, 25)), int(rng.integers(1, 12)))
-            cv2.ellipse(mask, center, axes, float(rng.uniform(0, 180)), 0, 360, 1, -1)
-        elif kind == 3:
-            corners = rng.integers(-6, largest + 6, (int(rng.integers(3, 7)), 2))
-            cv2.fillPoly(mask, [corners.astype(np.int32)], 1)
-        else:
-            end = (int(rng.integers(0, width)), int(rng.integers(0, height)))
-            cv2.line(mask, center, end, 1, int(rng.integers(1, 7)))
-    return 1 - mask if rng.random() < 0.1 else mask

@@ -16,10 +16,10 @@ from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import AxisEstimate, Estimate
 from slipguard.perception.pipeline import ContactSegmenter, Pipeline
 from slipguard.perception.rotation.axis import estimate_axis
-from slipguard.perception.rotation.contour_registration import ContourRegistrar
-from slipguard.perception.rotation.rotation_tracker import RotationTracker
+from slipguard.perception.rotation.rotation_filter import RotationFilter
 from slipguard.perception.rotation.skeleton import thin
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import Skips
 
 MAP_WIDTH_PX, MAP_HEIGHT_PX = 120, 160
 MAP_PX = FRAME_WIDTH_PX / MAP_WIDTH_PX
@@ -36,8 +36,7 @@ class ProductFunctions:
     find_patch: Callable[[NDArray[np.float32], float, float, float], Patch | None] = find_patch
     estimate: Callable[[Patch, str], AxisEstimate] = estimate_axis
     thin: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] = thin
-    registrar: Callable[..., ContourRegistrar] = ContourRegistrar
-    tracker: Callable[[], RotationTracker] = RotationTracker
+    rotations: Callable[[], RotationFilter] = RotationFilter
     fuse: Callable[[Estimate | None, Estimate | None], FusedEstimate | None] = fuse
     pipeline: Callable[..., Any] = Pipeline
     segmenter: Callable[[], ContactSegmenter] = Segmenter
@@ -60,15 +59,29 @@ class ScriptedPipeline:
     """The whole pipeline behind a scripted network: probability maps, and images where texture matters, to estimates.
 
     Args:
-        background: (320, 240, 3) uint8 image without contact; None for trials in which only the maps matter.
+        background: (320, 240, 3) uint8 image without contact; None: without texture, as `measure` without a background
+            image, so that the rotation is that of the map's axis.
+        every_map: The map of every frame is used, also while the texture shows that the contact moves as a whole.
     """
 
     def __init__(
-        self, product: ProductFunctions, reference: str = "first", background: NDArray[np.uint8] | None = None
+        self,
+        product: ProductFunctions,
+        background: NDArray[np.uint8] | None = None,
+        *,
+        every_map: bool = False,
     ) -> None:
         self._segmenter = ScriptedSegmenter()
-        settings = PerceptionSettings.model_validate({"reference": reference, "skip_unchanged": False})
-        self._pipeline = product.pipeline(self._segmenter, settings, background, None, PX_PER_MM)
+        settings = PerceptionSettings.model_validate(
+            {
+                "estimator": "moments" if background is None else PerceptionSettings().estimator,
+                "reference": "first",
+                "skip_unchanged": False,
+            }
+        )
+        self._pipeline = product.pipeline(
+            self._segmenter, settings, background, None, PX_PER_MM, skips=Skips(whole=not every_map)
+        )
         self._image: NDArray[np.uint8] = np.full((FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3), 96, np.uint8)
         self._frames = 0
         self._now_s = 0.0

@@ -10,9 +10,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from slipguard.stress.axis_families import ASPECT
 from slipguard.stress.drift_families import DRIFT, HOLDING
 from slipguard.stress.runner import StressOutcome, full_hours
-from slipguard.stress.shape_families import ASPECT
 from slipguard.stress.trial_family import FailureKind, FamilyResults, TrialFailure, TrialFamily
 from slipguard.tools import plotting
 
@@ -22,7 +22,6 @@ SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drif
 """Keys of `as_json` that `--json` prints; `stress.json` in the --out folder contains all of them."""
 PANELS = (
     ("outline", "contour error in network pixels (1 sd)"),
-    ("gray", "white noise on the probability (1 sd)"),
     ("frame noise", "camera noise in gray levels (1 sd), with the network"),
     ("relief noise", "camera noise in gray levels (1 sd), texture only"),
     ("relief fall", "acceleration of a toothed object in degrees/s2"),
@@ -30,7 +29,7 @@ PANELS = (
     ("aspect, outline 0.2 px", "aspect ratio, contour error 0.2 px"),
     ("aspect, outline 0.4 px", "aspect ratio, contour error 0.4 px"),
 )
-COLORS = {"moments": "C0", "ellipse": "C1", "pca": "C2", "skeleton": "C3", "fused": "C4", "pipeline": "black"}
+COLORS = {"moments": "C0", "ellipse": "C1", "pca": "C2", "skeleton": "C3", "pipeline": "black"}
 
 
 def summary(outcome: StressOutcome) -> dict[str, Any]:

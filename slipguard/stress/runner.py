@@ -10,18 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipguard.errors import InputError
+from slipguard.stress.axis_families import AXES
 from slipguard.stress.drift_families import DRIFTING, HOLD
 from slipguard.stress.effect_families import EFFECT_SWEEPS
 from slipguard.stress.image_families import IMAGES, TEXTURES
-from slipguard.stress.mask_families import DEGENERATE, RANDOM
+from slipguard.stress.mask_families import DEGENERATE
 from slipguard.stress.numeric_families import FLOATS, FUSION, TIMES
 from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.shape_families import EQUIVARIANCE, NOISE, ROUND, SEAMS
 from slipguard.stress.trial_family import FamilyResults, TrialFailure, TrialFamily, TrialFunction, generator
 
 FAMILIES: tuple[TrialFamily, ...] = (
-    DEGENERATE, RANDOM, EQUIVARIANCE, NOISE, SEAMS, ROUND, FLOATS, FUSION, TIMES, DRIFTING, HOLD, TEXTURES, IMAGES,
-    EFFECT_SWEEPS,
+    DEGENERATE, AXES, FLOATS, FUSION, TIMES, DRIFTING, HOLD, TEXTURES, IMAGES, EFFECT_SWEEPS,
 )  # fmt: skip
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from slipguard.perception.rotation.texture_registration import TextureFit, TexturePose, sigma_deg
+
 from tests.campaigns.fit_sigma import HEADROOM, RotationSample, fitted, within
 
 

@@ -42,11 +42,11 @@ def assert_alike(one: Any, other: Any) -> None:
 
 
 def test_the_full_list_gives_equal_results_in_one_and_in_two_processes() -> None:
-    families = short("noise", "round", "times", "drift")
-    assert [len([one for one in batches(families) if one.family == family]) for family in families] == [3, 3, 3, 1]
+    families = short("axes", "times", "drift")
+    assert [len([one for one in batches(families) if one.family == family]) for family in families] == [3, 3, 1]
     alone = as_json(run(families, 7, math.inf))
     found = [as_json(outcome) for outcome in run_full_list(families, 7, workers=Workers(2))]
-    assert len(found) == 10
+    assert len(found) == 7
     assert_alike({**found[-1], "spent_s": 0}, {**alone, "spent_s": 0})
     assert sorted(one["share"] for one in found) == [one["share"] for one in found]
 

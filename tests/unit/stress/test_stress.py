@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,23 +20,20 @@ from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.devices import Frame
 from slipguard.errors import InputError
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.estimate import AxisEstimate, Estimate
+from slipguard.perception.estimate import AxisEstimate, Estimate, RotationEstimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axis import estimate_axis
-from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.rotation_tracker import RotationTracker
-from slipguard.stress.map_checks import rotate_and_mirror, rotated_axis_deg
+from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
 from slipguard.stress.masks import degenerate_masks
-from slipguard.stress.numeric_families import fitted_ellipse_deg, second_moments_deg
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures
 from slipguard.stress.runner import FAMILIES, StressOutcome, run, schedule, select_families
-from slipguard.stress.shapes import ELONGATED, ShapePose, probability_map
 from slipguard.stress.trial_family import FamilyResults, TrialFamily
 
 FLAWS = ("biased", "nan", "raising")
 SEED = {"degenerate": 55, "times": 0}
 """Seeds at which the list reaches a bar, and a trial of the pipeline."""
+TRIALS = {"degenerate": 3}
 KIND = {"biased": "confident wrong", "nan": "nan", "raising": "crash"}
 
 
@@ -77,16 +74,16 @@ def faulty_pipeline(flaw: str) -> type[Pipeline]:
     return type("Faulty", (FaultyPipeline,), {"flaw": flaw})
 
 
-class FaultyTracker(RotationTracker):
+class FaultyFilter(RotationFilter):
     flaw = "biased"
 
-    def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
-        accepted = super().accept(now_s, rotation)
-        return RotationEstimate(*faulty(self.flaw, accepted.rotation_deg))
+    def update(self, now_s: float, found: Sequence[Hypothesis]) -> RotationEstimate:
+        rotation_deg, _ = faulty(self.flaw, super().update(now_s, found).rotation_deg)
+        return RotationEstimate(rotation_deg, None)
 
 
-def faulty_tracker(flaw: str) -> type[RotationTracker]:
-    return type("Faulty", (FaultyTracker,), {"flaw": flaw})
+def faulty_filter(flaw: str) -> type[RotationFilter]:
+    return type("Faulty", (FaultyFilter,), {"flaw": flaw})
 
 
 def faulty_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], FusedEstimate | None]:
@@ -101,44 +98,35 @@ def faulty_fuse(flaw: str) -> Callable[[Estimate | None, Estimate | None], Fused
 
 
 @pytest.mark.parametrize("flaw", sampled(FLAWS))
-@pytest.mark.parametrize("family", ["degenerate", "random", "equivariance", "noise", "seams", "round", "floats"])
-def test_a_faulty_estimator_is_detected(family: str, flaw: str) -> None:
-    trials = {"random": 60, "round": 25, "degenerate": 10}.get(family, 5)
-    outcome = run_trials(family, trials, ProductFunctions(estimate=faulty_estimate(flaw)), SEED.get(family, 3))
-    # Clean and bad map have the same error: only the comparison with float64 detects it.
-    kind = "limit" if (family, flaw) == ("floats", "biased") else KIND[flaw]
-    assert outcome.results[0].counts[kind] > 0
+def test_a_faulty_estimator_is_detected(flaw: str) -> None:
+    outcome = run_trials("axes", 3, ProductFunctions(estimate=faulty_estimate(flaw)))
+    assert outcome.results[0].counts[KIND[flaw]] > 0
     assert outcome.failed
 
 
 @pytest.mark.parametrize("flaw", sampled(FLAWS))
-@pytest.mark.parametrize(
-    "family", ["degenerate", "equivariance", "noise", "seams", "round", "floats", "holding", "pictures", "times"]
-)
+@pytest.mark.parametrize("family", ["degenerate", "axes", "floats", "holding", "pictures", "relief", "times"])
 def test_a_faulty_pipeline_is_detected(family: str, flaw: str) -> None:
-    trials = {"round": 25, "degenerate": 10}.get(family, 4)
-    outcome = run_trials(family, trials, ProductFunctions(pipeline=faulty_pipeline(flaw)), SEED.get(family, 3))
+    product = ProductFunctions(pipeline=faulty_pipeline(flaw))
+    outcome = run_trials(family, TRIALS.get(family, 4), product, SEED.get(family, 3))
     assert outcome.results[0].counts[KIND[flaw]] > 0
 
 
 @pytest.mark.parametrize("flaw", FLAWS)
-def test_a_faulty_tracker_is_detected(flaw: str) -> None:
-    product = ProductFunctions(tracker=faulty_tracker(flaw))
+def test_a_faulty_filter_is_detected(flaw: str) -> None:
+    product = ProductFunctions(rotations=faulty_filter(flaw))
     assert run_trials("times", 3, product, seed=1).results[0].counts[KIND[flaw]] > 0
-    assert run_trials("drift", 2, product).failed
 
 
 @pytest.mark.campaign
 def test_a_drift_of_a_tenth_of_a_degree_is_detected() -> None:
-    class Drifting(RotationTracker):
-        off = 0.0
+    class Drifting(Pipeline):
+        def process(self, frame: Frame) -> Estimate:
+            answer = super().process(frame)
+            off = 1e-3 * frame.sequence
+            return answer if answer.rotation_deg is None else replace(answer, rotation_deg=answer.rotation_deg + off)
 
-        def accept(self, now_s: float, rotation: RotationEstimate, by_texture: bool = False) -> RotationEstimate:
-            accepted = super().accept(now_s, rotation, by_texture)
-            self.off += 1e-4
-            return replace(accepted, rotation_deg=(accepted.rotation_deg or 0.0) + self.off)
-
-    outcome = run_trials("drift", 4, ProductFunctions(tracker=Drifting))
+    outcome = run_trials("drift", 1, ProductFunctions(pipeline=Drifting))
     assert outcome.results[0].counts["limit"] > 0
     assert as_json(outcome)["drift_deg"] > 0.1
 
@@ -148,18 +136,18 @@ def test_a_faulty_fusion_is_detected(flaw: str) -> None:
     assert run_trials("fusion", 40, ProductFunctions(fuse=faulty_fuse(flaw))).results[0].counts[KIND[flaw]] > 0
 
 
-@pytest.mark.parametrize("family", ["degenerate", "random"])
-def test_a_mask_that_is_not_thinned_is_detected(family: str) -> None:
+def test_a_mask_that_is_not_thinned_is_detected() -> None:
     def unthinned(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
         return mask
 
-    assert run_trials(family, 40, ProductFunctions(thin=unthinned)).results[0].counts["limit"] > 0
+    outcome = run_trials("degenerate", 3, ProductFunctions(thin=unthinned), SEED["degenerate"])
+    assert outcome.results[0].counts["limit"] > 0
 
 
 def test_the_seed_of_a_failure_reproduces_it() -> None:
     product = ProductFunctions(estimate=faulty_estimate("biased"))
-    first = first_failures(run_trials("noise", 4, product, seed=100))[0]
-    assert first_failures(run_trials("noise", 1, product, seed=first.seed))[0] == first
+    first = first_failures(run_trials("axes", 4, product, seed=100))[0]
+    assert first_failures(run_trials("axes", 1, product, seed=first.seed))[0] == first
 
 
 @pytest.fixture(scope="module")
@@ -179,16 +167,11 @@ def test_a_quick_run_tries_every_family_without_failure(quick: StressOutcome) ->
     assert found["drift_deg"] <= 0.1
 
 
-def test_a_ring_cut_by_the_frame_does_not_rotate() -> None:
-    results = run_trials("round", 1, seed=9028).results[0]
-    assert not results.failures, results.failures
-
-
 def test_equal_seeds_give_equal_results() -> None:
     def without_time(outcome: StressOutcome) -> dict[str, Any]:
         return {key: value for key, value in as_json(outcome).items() if key != "spent_s"}
 
-    for name in ("round", "random", "times"):
+    for name in ("axes", "times"):
         assert without_time(run_trials(name, 6, seed=5)) == without_time(run_trials(name, 6, seed=5))
         assert without_time(run_trials(name, 6, seed=5)) != without_time(run_trials(name, 6, seed=6))
 
@@ -225,21 +208,6 @@ def test_an_error_counts_as_confidently_wrong_above_its_sigmas() -> None:
     assert counted(0.0, None, 0.0) == 1
 
 
-def test_the_float64_references_find_the_drawn_axis() -> None:
-    for angle in (-80.0, -30.0, 0.0, 25.0, 70.0):
-        drawn = probability_map(ELONGATED["ellipse"], ShapePose(angle))
-        mask = (drawn > 0.5).astype(np.uint8)
-        assert abs(math.remainder(second_moments_deg(drawn) - angle, 180.0)) < 0.1
-        assert abs(math.remainder(fitted_ellipse_deg(mask) - angle, 180.0)) < 1.0
-
-
-def test_rotated_maps_and_axes_agree() -> None:
-    drawn = probability_map(ELONGATED["bar"], ShapePose(20.0, scale=0.8))
-    for which in range(8):
-        seen = second_moments_deg(np.asarray(rotate_and_mirror(drawn, which), np.float32))
-        assert abs(math.remainder(seen - rotated_axis_deg(20.0, which), 180.0)) < 0.1
-
-
 def test_degenerate_masks_are_valid() -> None:
     import cv2
 
@@ -252,7 +220,7 @@ def test_degenerate_masks_are_valid() -> None:
 
 def test_the_command_prints_json_and_writes_the_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "stress"
-    assert cli(["stress", "--only", "noise", "--only", "fusion", "--seconds", "0.1", "--json", "--out", str(out)]) == 0
+    assert cli(["stress", "--only", "axes", "--only", "fusion", "--seconds", "0.1", "--json", "--out", str(out)]) == 0
     found = json.loads(capsys.readouterr().out)
     assert set(found) == {"tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg", "broken_at"}
     assert found["drift_deg"] is None
@@ -263,9 +231,9 @@ def test_the_command_prints_json_and_writes_the_plot(tmp_path: Path, capsys: pyt
 
 
 def test_the_command_prints_a_table(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli(["stress", "--only", "seams", "--seconds", "0.01"]) == 0
+    assert cli(["stress", "--only", "axes", "--seconds", "0.01"]) == 0
     shown = capsys.readouterr().out
-    assert "seams" in shown
+    assert "axes" in shown
     assert "of the full list" in " ".join(shown.split())
 
 
@@ -276,7 +244,7 @@ def test_a_failure_gives_exit_code_1(monkeypatch: pytest.MonkeyPatch, capsys: py
 
 
 def test_an_unknown_family_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(InputError, match="degenerate, random, equivariance"):
+    with pytest.raises(InputError, match="degenerate, axes, floats"):
         select_families(["nonsense"])
     assert cli(["stress", "--only", "nonsense"]) == 2
     assert "Choose from degenerate" in capsys.readouterr().err

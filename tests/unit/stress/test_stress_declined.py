@@ -5,21 +5,18 @@ from __future__ import annotations
 import io
 import itertools
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from rich.console import Console
 
 from slipguard.devices import Frame
-from slipguard.perception.estimate import AxisEstimate, Estimate
+from slipguard.perception.estimate import AxisEstimate, Estimate, RotationEstimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation import contour_meter
-from slipguard.perception.rotation.contour_registration import ContourFit, ContourPose, ContourRegistrar
-from slipguard.perception.rotation.fusion import RotationEstimate
-from slipguard.perception.rotation.rotation_tracker import RotationTracker
+from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
 from slipguard.stress import drift_families, runner
-from slipguard.stress.drift_families import DRIFT, HOLDING, OBJECTS
+from slipguard.stress.drift_families import HOLDING, OBJECTS
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures, print_table
 from slipguard.stress.runner import FAMILIES, MIN_JUDGED_TRIALS, StressOutcome, run, select_families
@@ -32,23 +29,23 @@ class DecliningPipeline:
 
     has_reference = False
 
-    def __init__(self, *_: object) -> None:
+    def __init__(self, *_: object, **__: object) -> None:
         pass
 
     def process(self, frame: Frame) -> Estimate:
         return Estimate(
-            frame.sequence, frame.captured_at_s, frame.captured_at_s, True, 4000, "fused", declined="always declined"
+            frame.sequence, frame.captured_at_s, frame.captured_at_s, True, 4000, "model", declined="always declined"
         )
 
 
-class DecliningTracker(RotationTracker):
-    def accept(self, now_s: float, rotation: RotationEstimate) -> RotationEstimate:
+class DecliningFilter(RotationFilter):
+    def update(self, now_s: float, found: Sequence[Hypothesis]) -> RotationEstimate:
         return RotationEstimate(None, None, "always declined")
 
 
 def declining() -> ProductFunctions:
     return ProductFunctions(
-        pipeline=DecliningPipeline, tracker=DecliningTracker,
+        pipeline=DecliningPipeline, rotations=DecliningFilter,
         estimate=lambda patch, name: AxisEstimate(name, None, None, None, "always declined"),
         fuse=lambda left, right: None,
     )  # fmt: skip
@@ -77,13 +74,13 @@ def test_a_family_fails_if_every_estimate_is_declined(family: str, monkeypatch: 
     assert "the minimum is" in shown.getvalue()
 
 
-@pytest.mark.parametrize("family", ["equivariance", "noise", "seams", "round", "floats", "times"])
+@pytest.mark.parametrize("family", ["axes", "floats"])
 def test_a_declining_pipeline_fails_although_the_axis_estimators_work(family: str) -> None:
     outcome = run_trials(family, trials_until_checked(family), ProductFunctions(pipeline=DecliningPipeline))
     assert outcome.rarely_answering
 
 
-@pytest.mark.parametrize("family", [family.name for family in FAMILIES if family.cost_ms < 60.0])
+@pytest.mark.parametrize("family", [family.name for family in FAMILIES if family.cost_ms < 100.0])
 def test_the_product_declines_rarely_enough(family: str) -> None:
     outcome = run_trials(family, trials_until_checked(family), seed=4000)
     assert not outcome.rarely_answering, outcome.rarely_answering
@@ -91,24 +88,12 @@ def test_the_product_declines_rarely_enough(family: str) -> None:
 
 
 def test_the_share_of_estimates_is_not_checked_after_few_trials() -> None:
-    outcome = run_trials("seams", 5, declining())
+    outcome = run_trials("axes", 5, declining())
     assert not outcome.rarely_answering
     assert (
-        replace(select_families(["seams"])[0], min_answered_share=0.0).min_answered_share
-        < select_families(["seams"])[0].min_answered_share
+        replace(select_families(["axes"])[0], min_answered_share=0.0).min_answered_share
+        < select_families(["axes"])[0].min_answered_share
     )
-
-
-def test_a_registration_that_keeps_its_error_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Dragged(ContourRegistrar):
-        def fit(self, start: ContourPose) -> ContourFit:
-            found = super().fit(start)
-            drawn = 0.5 * (found.pose.rotation_deg + start.rotation_deg) + 0.15
-            return replace(found, pose=replace(found.pose, rotation_deg=drawn))
-
-    assert run_trials("drift", 2).results[0].largest[DRIFT] < 0.05
-    monkeypatch.setattr(contour_meter, "ContourRegistrar", Dragged)
-    assert run_trials("drift", 2).results[0].counts["limit"] > 0
 
 
 def test_a_pipeline_that_drifts_while_holding_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,27 +111,19 @@ def test_a_pipeline_that_drifts_while_holding_is_detected(monkeypatch: pytest.Mo
     assert run_trials("holding", two_cycles, ProductFunctions(pipeline=Drifting)).results[0].counts["limit"] > 0
 
 
-def test_held_objects_have_texture_add_references_and_skip_frames() -> None:
+def test_held_objects_are_registered_and_skip_frames() -> None:
     seen: dict[int, Counter[str]] = {}
 
     class Watched(Pipeline):
         def process(self, frame: Frame) -> Estimate:
             answer = super().process(frame)
-            reference: Any = self._meter.reference
-            texture = None if reference is None else reference.texture
             counts = seen.setdefault(id(self), Counter())
-            counts.update(
-                unchanged=answer.skipped == "unchanged",
-                texture=texture is not None,
-                key=texture is not None and texture._key is not None,
-            )
+            counts.update(unchanged=answer.skipped == "unchanged", measured=answer.rotation_deg is not None)
             return answer
 
     outcome = run_trials(
         "holding", 300 // drift_families.TRIAL_FRAMES * len(OBJECTS), ProductFunctions(pipeline=Watched)
     )
     assert len(seen) == len(OBJECTS)
-    assert all(
-        counts["unchanged"] > 100 and counts["texture"] > 250 and counts["key"] > 200 for counts in seen.values()
-    )
+    assert all(counts["unchanged"] > 100 and counts["measured"] > 250 for counts in seen.values())
     assert outcome.results[0].worst_deg["coin"] < 1.5

@@ -20,7 +20,7 @@ class CertainPipeline:
 
     def process(self, frame: Frame) -> Estimate:
         at_s = frame.captured_at_s
-        return Estimate(frame.sequence, at_s, at_s, True, 900, "fused", rotation_deg=500.0, sigma_deg=0.1)
+        return Estimate(frame.sequence, at_s, at_s, True, 900, "model", rotation_deg=500.0, sigma_deg=0.1)
 
 
 def stressed(pipeline: Any, trials: int) -> StressOutcome:
@@ -42,7 +42,7 @@ def test_declined_estimates_break_nowhere() -> None:
     class Declining(CertainPipeline):
         def process(self, frame: Frame) -> Estimate:
             at_s = frame.captured_at_s
-            return Estimate(frame.sequence, at_s, at_s, True, 900, "fused", declined="too uncertain")
+            return Estimate(frame.sequence, at_s, at_s, True, 900, "model", declined="too uncertain")
 
     outcome = stressed(Declining, 2)
     found = as_json(outcome)["families"]["effects"]
