@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from slipguard.tools.measure import FrameMeasurement
 
 NO_BACKGROUND = (
-    "no --background given: the background is estimated from each frame, so masks and angles are less accurate "
-    "and contact may be reported where there is none"
+    "no --background given: the rotation is that of the mask's axis ({estimator}), masks are less accurate, and "
+    "contact may be reported where there is none"
 )
 ROWS_MAX = 60
 FRAME_NAME_WIDTH = 28
@@ -34,7 +34,10 @@ class ReferenceChoice(StrEnum):
 def measure(
     paths: Annotated[list[Path], typer.Argument(help="Images, a folder of images (sorted by name), or a video.")],
     background: Annotated[
-        Path | None, typer.Option(help="Background image (no contact) of the same sensor. Improves the results.")
+        Path | None,
+        typer.Option(
+            help="Background image (no contact) of the same sensor. Without it, rotation is that of the mask's axis."
+        ),
     ] = None,
     masks: Annotated[
         Path | None, typer.Option(help="Folder for the contact masks, named like the frames: PNG, 0 or 255.")
@@ -58,7 +61,13 @@ def measure(
         ),
     ] = ReferenceChoice.stable,
     model: Annotated[Path | None, typer.Option(help="Segmentation network (.onnx). Default: the shipped one.")] = None,
-    estimator: Annotated[str | None, typer.Option(help="Rotation estimator. Default: the daemon's.")] = None,
+    estimator: Annotated[
+        str | None,
+        typer.Option(
+            help="Rotation estimator: registration, or the axis of the mask by moments, ellipse, pca or skeleton. "
+            "Default: registration; without --background: moments."
+        ),
+    ] = None,
 ) -> None:
     """Measure contact, rotation and uncertainty in gel images: BGR, 240 wide x 320 high, of a DIGIT.
 
@@ -81,10 +90,14 @@ def measure(
         choices["model"] = model
     if estimator is not None:
         choices["estimator"] = _check_estimator(estimator)
+        if estimator == "registration" and background_image is None:
+            raise InputError("--estimator registration: needs the sensor's background image; add --background")
+    elif background_image is None:
+        choices["estimator"] = "moments"
     settings = PerceptionSettings.model_validate(choices)
     segmenter = Segmenter(settings.model)
     if background_image is None:
-        print(f"slipguard: {NO_BACKGROUND}", file=sys.stderr)
+        print(f"slipguard: {NO_BACKGROUND.format(estimator=settings.estimator)}", file=sys.stderr)
     done: list[FrameMeasurement] = []
     try:
         for measured in tool.measure(paths, segmenter, settings, background_image, independent):

@@ -47,6 +47,8 @@ def measure(
 ) -> Iterator[FrameMeasurement]:
     """Yield the estimate of each frame, of one recording or, if `independent`, of single frames.
 
+    Without a background image only the axis estimators apply.
+
     Raises:
         InputError: At the first file that cannot be used, after the frames before it were yielded.
     """
@@ -120,7 +122,7 @@ def plot(results: list[FrameMeasurement], path: Path, background_known: bool) ->
     area.set_ylabel("contact area, px")
     area.set_xlabel(f"frame, from {results[0].frame.name} to {results[-1].frame.name}")
     rotation.set_title(
-        "with the sensor's background image" if background_known else "background image estimated from the frames"
+        "with the sensor's background image" if background_known else "axis of the mask, without a background image"
     )
     for axes in (rotation, axis, area):
         axes.grid(alpha=0.3)

@@ -153,12 +153,23 @@ def test_the_table_is_complete_at_80_columns(
     assert not [line for line in lines if "…" in line]
 
 
-def test_a_missing_background_gives_one_warning(rotating: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run([rotating / "f05.png"])
+@pytest.mark.parametrize(("estimator", "method"), [(None, "moments"), ("pca", "pca")])
+def test_without_a_background_the_rotation_is_that_of_the_axis(
+    estimator: str | None, method: str, rotating: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run([rotating], estimator=estimator)
     message = capsys.readouterr()
-    assert "no --background given" in message.err
+    assert f"the rotation is that of the mask's axis ({method})" in message.err
     assert message.err.count("\n") == 1
-    assert json.loads(message.out)["contact"] is True
+    last = json.loads(message.out.splitlines()[-1])
+    assert last["contact"] is True
+    assert last["method"] == method
+    assert last["angle_deg"] == pytest.approx(12.0, abs=4.0 * last["sigma_deg"])
+
+
+def test_registration_without_a_background_is_refused(rotating: Path) -> None:
+    with pytest.raises(InputError, match="add --background"):
+        run([rotating], estimator="registration")
 
 
 def test_a_video_is_read_frame_by_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
