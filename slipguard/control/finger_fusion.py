@@ -24,11 +24,6 @@ DIFFER_DEG = 3.0
 """About twice the difference of two fingers in lifts, elastic torsion of soft pads included (1.6 degrees)."""
 DIFFER_SHARE = 0.1
 """A finger's error grows with the rotation, by up to 4.5 % of it (one standard deviation)."""
-AXIS_SIGMA_MAX_DEG = 3.0
-"""Two fingers that see only the axis of a less certain jump do not confirm each other: a nearly round contact has an
-axis that may flip in both."""
-AXIAL_SIGMA_DEG = 90.0
-"""A jump that only the contact's axis shows may be 180 degrees more or less: two standard deviations."""
 GAP_MAX_S = 0.1
 """A finger further behind the other than this is left out; frames come every 17-33 ms."""
 SIGMA_MAX_DEG = 180.0
@@ -117,7 +112,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
     shifts = _shifts(left, right)
     shift_mm, opposed = _mean_shift(shifts)
     both = (_rotation("left", left, 1.0), _rotation("right", right, -1.0))
-    rotations = [rotation for rotation in both if rotation is not None] or _confirmed_jump(left, right)
+    rotations = [rotation for rotation in both if rotation is not None]
     notes = [f"{name} finger: {_reason(one)}" for name, one in (("left", left), ("right", right)) if _reason(one)]
     if len(rotations) == 2:
         rotations, behind = _aligned(rotations[0], rotations[1])
@@ -190,9 +185,7 @@ def _checked(estimate: Estimate | None) -> Estimate | None:
     """Return the estimate, without rotation and shift if one of its numbers is invalid."""
     if estimate is None or not (math.isfinite(estimate.captured_at_s) and math.isfinite(estimate.measured_at_s)):
         return None
-    jump = estimate.unconfirmed
     numbers = (estimate.rotation_deg, estimate.rate_deg_s, *(estimate.shift_mm or ()))
-    numbers += () if jump is None else (jump.rotation_deg, jump.sigma_deg, jump.rate_deg_s)
     sigma_deg = estimate.sigma_deg
     if all(n is None or abs(n) <= LARGEST for n in numbers) and (
         sigma_deg is None or 0.0 <= sigma_deg <= SIGMA_MAX_DEG
@@ -209,39 +202,6 @@ def _rotation(finger: str, estimate: Estimate | None, sign: float) -> _Rotation 
     return _Rotation(
         finger, sign * estimate.rotation_deg, sigma_deg, rate_deg_s, estimate.captured_at_s, estimate.measured_at_s
     )
-
-
-def _confirmed_jump(left: Estimate | None, right: Estimate | None) -> list[_Rotation]:
-    """Return the rotations after a jump that each finger declines alone, if several frames of both agree on it."""
-    if left is None or right is None or left.unconfirmed is None or right.unconfirmed is None:
-        return []
-    jumps = (left.unconfirmed, right.unconfirmed)
-    rotations = [
-        _Rotation(
-            finger,
-            sign * jump.rotation_deg,
-            max(jump.sigma_deg, SIGMA_FLOOR_DEG),
-            sign * jump.rate_deg_s,
-            estimate.captured_at_s,
-            estimate.measured_at_s,
-        )
-        for finger, sign, jump, estimate in zip(("left", "right"), (1.0, -1.0), jumps, (left, right), strict=True)
-    ]
-    axial = [jump.axial for jump in jumps]
-    one, other = rotations
-    apart_deg = other.rotation_deg - one.rotation_deg
-    apart_deg = math.remainder(apart_deg, 180.0) if any(axial) else apart_deg
-    if abs(apart_deg) > DIFFER_DEG + AGREE_SIGMAS * math.hypot(one.sigma_deg, other.sigma_deg):
-        return []
-    if all(axial) and max(one.sigma_deg, other.sigma_deg) > AXIS_SIGMA_MAX_DEG:
-        return []
-    if not all(axial):
-        return [rotation for rotation, unsure in zip(rotations, axial, strict=True) if not unsure]
-    aligned_deg = (one.rotation_deg, one.rotation_deg + apart_deg)
-    return [
-        replace(rotation, rotation_deg=value_deg, sigma_deg=AXIAL_SIGMA_DEG)
-        for rotation, value_deg in zip(rotations, aligned_deg, strict=True)
-    ]
 
 
 def _reason(estimate: Estimate | None) -> str | None:

@@ -35,19 +35,6 @@ class RotationEstimate:
 
 
 @dataclass(frozen=True, slots=True)
-class UnconfirmedRotation:
-    """A rotation that several frames in a row agree on, declined as an implausible jump; the other finger may confirm.
-
-    axial: it may also be 180 degrees more or less, because only the contact's axis shows it.
-    """
-
-    rotation_deg: float
-    sigma_deg: float
-    rate_deg_s: float
-    axial: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Estimate:
     """The rotation of the object in one finger's image since the reference.
 
@@ -63,7 +50,6 @@ class Estimate:
     measured_at_s: capture time of the measured frame; older than `captured_at_s` after a skip.
     skipped: None, or which skip was taken ("no contact", "unchanged", "other finger").
     declined: None, or why there is no angle, a `DeclineReason` with details after a colon.
-    unconfirmed: a declined rotation that counts if the other finger confirms it.
     segmented: False if contact area and mask are an earlier frame's; not recorded.
     """
 
@@ -82,7 +68,6 @@ class Estimate:
     slides: bool = False
     skipped: str | None = None
     declined: str | None = None
-    unconfirmed: UnconfirmedRotation | None = None
     stage_ms: Mapping[str, float] = field(default_factory=dict)
     segmented: SkipJsonSchema[bool] = True
     contact_radius_mm: float | None = None
@@ -107,7 +92,6 @@ class Estimate:
             shift_mm=None,
             slides=False,
             declined=declined,
-            unconfirmed=None,
         )
 
 

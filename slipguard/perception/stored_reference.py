@@ -97,12 +97,6 @@ class ResumingPipeline:
         if self.stored_reference_state == "waiting" and estimate.contact:
             declined = estimate.without_motion(str(DeclineReason.CHECKING_STORED_REFERENCE))
             return replace(declined, shift_declined=None)
-        if not self.earlier_rotation_deg:
-            return estimate
-        if estimate.unconfirmed is not None:
-            jump = estimate.unconfirmed
-            jump = replace(jump, rotation_deg=jump.rotation_deg + self.earlier_rotation_deg)
-            return replace(estimate, unconfirmed=jump)
         if estimate.rotation_deg is None:
             return estimate
         return replace(estimate, rotation_deg=estimate.rotation_deg + self.earlier_rotation_deg)

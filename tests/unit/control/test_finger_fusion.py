@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from observations import estimate
 
 from slipguard.control.finger_fusion import SIGMA_FLOOR_DEG, fuse
-from slipguard.perception.estimate import Estimate, UnconfirmedRotation
 
 rotations = st.floats(-60.0, 60.0)
 sigmas = st.floats(0.05, 6.0)
@@ -164,61 +163,6 @@ def test_both_fingers_mirrored_give_the_mirrored_rotation(a: float, sa: float, b
     assert other.sigma_deg == pytest.approx(one.sigma_deg)
     assert one.sigma_deg >= SIGMA_FLOOR_DEG / math.sqrt(2)
     assert min(a, -b) - 1e-9 <= one.rotation_deg <= max(a, -b) + 1e-9
-
-
-def jump(rotation_deg: float, sigma_deg: float = 0.3, *, rate_deg_s: float = 0.0, axial: bool = False) -> Estimate:
-    """One finger's estimate that declines a jump which several of its frames agree on."""
-    unconfirmed = UnconfirmedRotation(rotation_deg, sigma_deg, rate_deg_s, axial)
-    return replace(estimate(None, declined="implausible jump"), unconfirmed=unconfirmed)
-
-
-def test_two_fingers_confirm_a_jump_that_each_declines_alone() -> None:
-    both = fuse(jump(90.0), jump(-91.0))
-    assert both is not None
-    assert both.rotation_deg == pytest.approx(90.5)
-    assert both.fingers == ("left", "right")
-    for other in (None, estimate(None), jump(90.0), jump(-60.0), jump(math.nan)):
-        alone = fuse(jump(90.0), other)
-        assert alone is not None
-        assert alone.rotation_deg is None
-    measured = fuse(jump(90.0), estimate(1.0))
-    assert measured is not None
-    assert measured.rotation_deg == -1.0
-
-
-def test_a_jump_has_its_rate() -> None:
-    both = fuse(jump(90.0, rate_deg_s=20.0), jump(-90.0, rate_deg_s=-30.0))
-    assert both is not None
-    assert both.rate_deg_s == pytest.approx(25.0)
-
-
-@pytest.mark.parametrize(
-    ("left_sigma_deg", "right_sigma_deg", "confirmed"),
-    [(0.3, 0.3, False), (2.0, 0.3, True), (0.3, 2.0, True)],
-)
-def test_jumps_agree_within_the_sigmas_of_both(left_sigma_deg: float, right_sigma_deg: float, confirmed: bool) -> None:
-    both = fuse(jump(90.0, left_sigma_deg), jump(-98.0, right_sigma_deg))
-    assert both is not None
-    assert (both.rotation_deg is not None) == confirmed
-
-
-def test_uncertain_axes_confirm_no_jump() -> None:
-    """The axis of a nearly round contact may flip in both fingers at once."""
-    flipped = fuse(jump(89.0, 8.0, axial=True), jump(89.0, 0.3, axial=True))
-    assert flipped is not None
-    assert flipped.rotation_deg is None
-
-
-def test_an_axial_jump_is_confirmed_modulo_180_degrees() -> None:
-    both = fuse(jump(89.0, axial=True), jump(89.0, axial=True))
-    assert both is not None
-    assert both.rotation_deg == pytest.approx(90.0)
-    assert both.sigma_deg is not None
-    assert both.sigma_deg > 60.0  # the opposite rotation is within three standard deviations
-    sure = fuse(jump(-70.0, axial=True), jump(-110.0))
-    assert sure is not None
-    assert sure.rotation_deg == pytest.approx(110.0)
-    assert sure.sigma_deg == pytest.approx(0.3)
 
 
 def test_a_slide_counts_only_while_no_finger_knows_the_shift() -> None:
