@@ -42,7 +42,7 @@ from slipguard.devices import FINGERS, DriverContext
 from slipguard.errors import DeviceTimeout, InputError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.stored_reference import ResumingPipeline
+from slipguard.perception.stored_reference import NO_BACKGROUND, ResumingPipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import build_device
 from slipguard.thread_priority import set_worker_priority
@@ -101,7 +101,10 @@ def build_service(
         segmenter = Segmenter(config.perception.model)
 
         def make(serial: str) -> PerceptionPipeline:
-            pipeline = ResumingPipeline(_build_pipeline(config, name, segmenter, _stored_background(state_dir, serial)))
+            known = _stored_background(state_dir, serial)
+            if known is None:
+                service.event_log.info(f"{name} finger ({serial}): nothing is guarded, {NO_BACKGROUND}")
+            pipeline = ResumingPipeline(_build_pipeline(config, name, segmenter, known))
             restore_reference(pipeline, references, name, serial, asyncio.get_running_loop().time())
             return wrap_pipeline(name, pipeline)
 

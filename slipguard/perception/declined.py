@@ -14,6 +14,7 @@ class DeclineReason(StrEnum):
 
     NO_CONTACT = "no contact"
     NO_REFERENCE = "no reference yet"
+    NO_BACKGROUND = "no background image"
     CHECKING_STORED_REFERENCE = "checking the stored reference"
     CONTACT_TOO_SMALL = "contact too small"
     CONTACT_CHANGED = "contact changed too much since the reference"

@@ -126,6 +126,11 @@ class Pipeline:
         self._forget_measured()
 
     @property
+    def calibrated(self) -> bool:
+        """Whether there is a background image: without one, rotations are only those of the mask's axis."""
+        return self._background is not None
+
+    @property
     def has_reference(self) -> bool:
         return self._meter.reference is not None
 

@@ -1,4 +1,4 @@
-"""Resumes with a stored reference after a restart, if the finger still holds the same object."""
+"""The daemon's pipeline: it needs a background image, and resumes with a stored reference after a restart."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.perception.contact.patch import Patch
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 
@@ -18,6 +18,8 @@ MATCHES_AFTER = 3
 """The stored reference matches after this many rotations measured against it."""
 DIFFERS_AFTER = 8
 """It differs after this many frames with contact but without a rotation."""
+NO_BACKGROUND = explain(DeclineReason.NO_BACKGROUND, "run `slipguard calibrate` with the jaws open and empty")
+"""Why a finger that is not calibrated gives no rotation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +35,7 @@ class StoredReference:
 
 
 class ResumingPipeline:
-    """A `Pipeline` that can continue with a stored reference.
+    """A `Pipeline` that can continue with a stored reference, and declines every rotation without a background image.
 
     While it is unknown whether the stored reference matches, every rotation is declined. If it does not match, the next
     stable contact becomes a new reference, and rotations continue from the last known one.
@@ -92,6 +94,8 @@ class ResumingPipeline:
             FrameCorrupt: The frame is not a gel image.
         """
         estimate = self._pipeline.process(frame)
+        if estimate.contact and not self._pipeline.calibrated:
+            return replace(estimate.without_motion(NO_BACKGROUND), shift_declined=None)
         if self._stored is not None and estimate.contact:
             self._check(estimate, self._stored)
         if self.stored_reference_state == "waiting" and estimate.contact:
