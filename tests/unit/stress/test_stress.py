@@ -123,7 +123,7 @@ def test_a_drift_of_a_tenth_of_a_degree_is_detected() -> None:
     class Drifting(Pipeline):
         def process(self, frame: Frame) -> Estimate:
             answer = super().process(frame)
-            off = 1e-3 * frame.sequence
+            off = 2e-3 * frame.sequence
             return answer if answer.rotation_deg is None else replace(answer, rotation_deg=answer.rotation_deg + off)
 
     outcome = run_trials("drift", 1, ProductFunctions(pipeline=Drifting))
