@@ -71,22 +71,19 @@ def fit_renderer(
 
 @app.command()
 def fit_sigma(
-    grasps: Annotated[int, typer.Option(min=1, help="Rendered grasps of each training object.")] = 2,
-    real: Annotated[
-        Path | None, typer.Option(help="Folder with anytouch2_force2/, to fit to real presses too.")
-    ] = None,
+    grasps: Annotated[int, typer.Option(min=1, help="Rendered grasps of each training object and effect.")] = 1,
     model: Model = None,
 ) -> None:
-    """Fit the constants of the texture estimate's sigma to rotations of known size.
+    """Fit the constants of the rotation's sigma to rotations of known size.
 
-    Run it again when the network or the renderer has changed. The constants are in
-    `slipguard/perception/rotation/texture_sigma.py`.
+    Run it again when the network, the renderer or the registration has changed. The constants are in
+    `slipguard/perception/rotation/registration.py` and `gel_memory.py`.
 
-    Example: `python -m tests.campaigns fit-sigma --grasps 2 --real real_digit`
+    Example: `python -m tests.campaigns fit-sigma --grasps 2`
     """
     from tests.campaigns.fit_sigma import fit_and_report
 
-    fit_and_report(grasps, real, model)
+    fit_and_report(grasps, model)
 
 
 @app.command()

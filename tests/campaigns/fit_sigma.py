@@ -1,175 +1,197 @@
-"""A fit of the constants of the texture estimate's sigma to rotations of known size.
+"""A fit of the constants of the rotation's sigma, and of its correction, to rendered grasps of the training objects.
 
-The rotations are rendered grasps of the training objects; with real data also the tuning part of real presses, rotated
-and relit, and of real frames that shear without rotating. Each kind has its share of the weight. The constants are in
-`slipguard.perception.rotation.texture_registration`.
+The registration's errors are not Gaussian, and the effects differ: the constants minimize the negative log likelihood
+of Student's t, in which every effect has the same weight. Sigma is computed by the product itself with each candidate.
 """
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp, render_grasp
-from slipguard.devices import Frame
+from slipguard.datasets.effect_scenes import EFFECTS, render_effect
+from slipguard.datasets.rendered_grasps import FRAME_S, RenderedGrasp, render_grasp
+from slipguard.devices import FRAME_WIDTH_PX
 from slipguard.perception.contact.patch import Patch, find_patch
 from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.estimate import RotationEstimate
+from slipguard.perception.rotation import gel_memory, registration
+from slipguard.perception.rotation.gel_memory import ImprintMemory
+from slipguard.perception.rotation.registration import Registration
+from slipguard.perception.rotation.rotation_filter import RotationFilter
 from slipguard.perception.rotation.texture_map import TextureMapReader
-from slipguard.perception.rotation.texture_registration import (
-    FLOOR_DEG,
-    SIGMA_SHARES,
-    TextureFit,
-    TexturePose,
-    fit_texture,
-    parts_deg,
-    sigma_deg,
-)
 from slipguard.perception.rotation.texture_template import make_texture_template
-from slipguard.sim.catalogue import object_names
-from slipguard.tools.image_files import read_gel_image
-from tests.campaigns.rotated_presses import PX_PER_MM, press_images, rotated_grasp
+from slipguard.perception.rotation.texture_tracker import TextureTracker
+from slipguard.perception.settings import PerceptionSettings
+from slipguard.sim.catalogue import find_object, object_names
 
-SEED = 7400
-FRAME_PX = 2.0
-MIN_AREA_PX = 200.0
-DEGREES_OF_FREEDOM = 5.0
+SEED = 8300
+ORDINARY = "ordinary"
+MODULES = {"registration": registration, "gel_memory": gel_memory}
+FITTED = (
+    ("registration", "SPREAD"),
+    ("registration", "DEFORMED"),
+    ("registration", "LEAD"),
+    ("registration", "ROLLING"),
+    ("registration", "LEAD_CORRECTION"),
+    ("gel_memory", "SPREAD_SHARE"),
+    ("gel_memory", "CORRECTION_SHARE"),
+    ("gel_memory", "PAST_SHARE"),
+)
+"""The fitted constants by module. All are positive."""
+Constants = Mapping[tuple[str, str], float]
+DEGREES_OF_FREEDOM = 8.0
 """Errors have heavier tails than a Gaussian: a single bad grasp must not determine the constants."""
-STEPS = (0.8, 0.4, 0.15, 0.05, 0.02)
-HEADROOM = (1.25, 1.25, 1.7, 1.7)
-"""Factors on the best fit: two sigmas shall cover 93 % of the errors of unknown objects, whose deformation differs more
-between objects than noise does."""
-KINDS = {"rendered": 0.6, "relit": 0.25, "sheared": 0.15}
-"""Weight of each kind of rotation when all are present."""
-SHEARED_NOISE_BGR = (1.5, 0.95, 1.3)
-"""Of `anytouch2_force2`: from differences of neighboring frames away from the contact."""
-SHEARED_LAST = "f0132"
-SHEARED_FRAMES, SHEARED_STEP = 14, 3
+STEPS = (0.4, 0.2, 0.1, 0.05, 0.02)
+"""Relative steps of the search, which tries each constant in turn."""
+IMPROVED = 1e-5
+"""A smaller improvement of the likelihood per error ends the search with a step."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class RotationSample:
-    """One measured rotation: its error and the texture fit behind it. kind: one of `KINDS`."""
+    """One frame of known rotation. best: its registration, None if declined. memory: of the gel, after this frame."""
 
-    grasp: str
-    error_deg: float
-    fit: TextureFit
-    kind: str = "rendered"
+    effect: str
+    rotation_deg: float
+    best: Registration | None
+    memory: ImprintMemory
+
+    def measured(self) -> RotationEstimate:
+        """Return the rotation and its sigma with the constants in use."""
+        if self.best is None:
+            return RotationEstimate(None, None)
+        return copy.copy(self.memory).corrected(self.best.rotation_deg, self.best.sigma_deg, self.best.ghost)
 
 
-def samples(grasps: Iterable[RenderedGrasp], segmenter: Segmenter, kind: str = "rendered") -> Iterator[RotationSample]:
-    """Yield every texture rotation since the last still frame, frame by frame, of some grasps."""
-    for number, grasp in enumerate(grasps):
-        start = next((k for k, shot in enumerate(grasp.shots) if shot.compared), 0) - 1
-        reader = TextureMapReader(grasp.background, grasp.noise_bgr)
-        patch = _patch(segmenter, grasp, start)
-        if start < 0 or patch is None:
+def training_grasps(count: int) -> Iterator[tuple[str, RenderedGrasp]]:
+    """Yield each effect with grasps of the training objects that have an axis, `count` of each."""
+    for name in object_names("train"):
+        if find_object(name).axial:
+            for seed in range(SEED, SEED + count):
+                yield ORDINARY, render_grasp(name, seed)
+                for effect in EFFECTS:
+                    yield effect, render_effect(effect, name, seed)
+
+
+def samples(effect: str, grasp: RenderedGrasp, segmenter: Segmenter) -> Iterator[RotationSample]:
+    """Follow the texture of a grasp since its last frame at rest, frame by frame; a round one gives nothing."""
+    start = next(k for k, shot in enumerate(grasp.shots) if shot.compared) - 1
+    reader = TextureMapReader(grasp.background, np.array(grasp.noise_bgr))
+    patch, image = _patch(segmenter, grasp, start), grasp.shots[start].frame.image
+    if patch is None:
+        return
+    reader.learn(image, patch)
+    template = make_texture_template(reader.read(image, patch), patch)
+    if template is None or template.round_reason is not None:
+        return
+    rotations = RotationFilter()
+    rotations.start(start * FRAME_S)
+    tracker = TextureTracker(template, rotations)
+    for k, shot in enumerate(grasp.shots):
+        patch = _patch(segmenter, grasp, k) if shot.compared else None
+        if patch is None:
             continue
-        image = grasp.shots[start].frame.image
-        reader.learn(image, patch)
-        reference = make_texture_template(reader.read(image, patch), patch)
-        pose, rate = TexturePose(), 0.0
-        for k in range(start + 1, len(grasp.shots)):
-            patch = _patch(segmenter, grasp, k)
-            if reference is None or patch is None or not grasp.shots[k].compared:
-                continue
-            texture = reader.read(grasp.shots[k].frame.image, patch)
-            fit = fit_texture(reference, texture, replace(pose, rotation_deg=pose.rotation_deg + rate))
-            if fit.declined is not None:
-                continue
-            rate, pose = fit.pose.rotation_deg - pose.rotation_deg, fit.pose
-            error = fit.pose.rotation_deg - grasp.shots[k].rotation_deg
-            yield RotationSample(f"{kind} {grasp.object_name} {number}", error, fit, kind)
-
-
-def sheared(folder: Path) -> Iterator[RenderedGrasp]:
-    """Yield series of real frames in which a contact shears but does not rotate, tuning part of `anytouch2_force2`."""
-    background = read_gel_image(folder / "anytouch2_force2" / "background.png")
-    paths = sorted((folder / "anytouch2_force2" / "frames").glob("*.png"))
-    images = [read_gel_image(path) for path in paths if path.stem <= SHEARED_LAST]
-    for begin in range(0, len(images) - 2, SHEARED_STEP):
-        shots = [
-            GraspFrame(Frame(image, k * FRAME_S, k), True, 0.0, k > 0, None)
-            for k, image in enumerate(images[begin : begin + SHEARED_FRAMES])
-        ]
-        yield RenderedGrasp(f"from {begin}", True, background, SHEARED_NOISE_BGR, PX_PER_MM, tuple(shots))
-
-
-def fitted(found: Sequence[RotationSample]) -> tuple[float, ...]:
-    """Return the shares of sigma's parts that maximize the likelihood; grasps of one kind have equal weights."""
-    error, parts, weight = _table(found)
-    best = np.log(np.array(SIGMA_SHARES))
-    cost = _negative_log_likelihood(best, error, parts, weight)
-    for step in STEPS:
-        improved = True
-        while improved:
-            improved = False
-            for axis in range(len(best)):
-                for way in (-step, step):
-                    other = best.copy()
-                    other[axis] = max(other[axis] + way, math.log(1e-3))
-                    now = _negative_log_likelihood(other, error, parts, weight)
-                    if now < cost - 1e-6:
-                        best, cost, improved = other, now, True
-    return tuple((np.array(HEADROOM) * np.exp(best)).tolist())
-
-
-def within(found: Sequence[RotationSample], sigmas: float) -> float:
-    """Return the share of errors within a number of sigmas with the constants in use; grasps have equal weights."""
-    _, _, weight = _table(found)
-    inside = np.array([abs(one.error_deg) <= sigmas * sigma_deg(one.fit) for one in found])
-    return float(weight @ inside)
+        found = tracker.track(reader.read(shot.frame.image, patch), patch.center_px, k * FRAME_S)
+        best = None if found.rotation.rotation_deg is None else found.best
+        yield RotationSample(effect, shot.rotation_deg, best, copy.copy(tracker._memory))
 
 
 def _patch(segmenter: Segmenter, grasp: RenderedGrasp, index: int) -> Patch | None:
     probability = segmenter.segment(grasp.shots[index].frame.image, grasp.background)
-    frame_px = FRAME_PX * 120.0 / probability.shape[1]
-    return find_patch(probability, segmenter.threshold, MIN_AREA_PX, frame_px)
+    settings = PerceptionSettings()
+    return find_patch(probability, segmenter.threshold, settings.min_area_px, FRAME_WIDTH_PX / probability.shape[1])
 
 
-def _table(found: Sequence[RotationSample]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return errors, the (n, 4) parts of sigma before their shares, and weights that add up to 1."""
-    error = np.array([one.error_deg for one in found])
-    parts = np.array([parts_deg(one.fit) for one in found])
-    _, place, count = np.unique([one.grasp for one in found], return_inverse=True, return_counts=True)
-    weight = 1.0 / count[place]
-    kind = np.array([one.kind for one in found])
-    for name, share in KINDS.items():
-        weight[kind == name] *= share / max(weight[kind == name].sum(), 1e-9)
-    return error, parts, weight / weight.sum()
+def constants_in_use() -> dict[tuple[str, str], float]:
+    return {(module, name): float(getattr(MODULES[module], name)) for module, name in FITTED}
 
 
-def _negative_log_likelihood(
-    logs: NDArray[np.float64], error: NDArray[np.float64], parts: NDArray[np.float64], weight: NDArray[np.float64]
-) -> float:
-    """Return the negative log likelihood per error, Student's t."""
-    square = (parts**2) @ np.exp(2.0 * logs) + FLOOR_DEG**2
-    half = (DEGREES_OF_FREEDOM + 1.0) / 2.0
-    return float(weight @ (0.5 * np.log(square) + half * np.log1p(error**2 / square / DEGREES_OF_FREEDOM)))
+@contextlib.contextmanager
+def using(constants: Constants) -> Iterator[None]:
+    """Let the product compute with these constants."""
+    before = constants_in_use()
+    try:
+        for (module, name), value in constants.items():
+            setattr(MODULES[module], name, value)
+        yield
+    finally:
+        for (module, name), value in before.items():
+            setattr(MODULES[module], name, value)
 
 
-def fit_and_report(grasps: int, real: Path | None, model: Path | None) -> None:
-    """Measure rotations of known size, fit the constants, print both sets and how many errors lie within sigma."""
+def negative_log_likelihood(found: Iterable[RotationSample], constants: Constants) -> float:
+    """Return the mean negative log likelihood of the errors, Student's t; each effect has the same weight."""
+    costs: dict[str, list[float]] = {}
+    nu = DEGREES_OF_FREEDOM
+    with using(constants):
+        for one in found:
+            measured = one.measured()
+            if measured.rotation_deg is None or measured.sigma_deg is None:
+                continue
+            sigmas = (measured.rotation_deg - one.rotation_deg) / measured.sigma_deg
+            cost = math.log(measured.sigma_deg) + 0.5 * (nu + 1.0) * math.log1p(sigmas * sigmas / nu)
+            costs.setdefault(one.effect, []).append(cost)
+    return float(np.mean([np.mean(one) for one in costs.values()]))
+
+
+def fitted(found: Sequence[RotationSample]) -> dict[tuple[str, str], float]:
+    """Return the constants of the largest likelihood, searched from those in use."""
+    best = constants_in_use()
+    cost = negative_log_likelihood(found, best)
+    for step in STEPS:
+        improved = True
+        while improved:
+            improved = False
+            for constant in FITTED:
+                for factor in (1.0 + step, 1.0 / (1.0 + step)):
+                    other = {**best, constant: best[constant] * factor}
+                    now = negative_log_likelihood(found, other)
+                    if now < cost - IMPROVED:
+                        best, cost, improved = other, now, True
+    return best
+
+
+def table(found: Sequence[RotationSample], constants: Constants) -> list[str]:
+    """Return one line for each effect: error, declined frames, shares within and beyond sigma, and sigma's size."""
+    limit_deg = PerceptionSettings().sigma_max_deg
+    lines = []
+    with using(constants):
+        for effect in dict.fromkeys(one.effect for one in found):
+            some = [(one.rotation_deg, one.measured()) for one in found if one.effect == effect]
+            kept = [
+                (abs(measured.rotation_deg - truth_deg), measured.sigma_deg)
+                for truth_deg, measured in some
+                if measured.rotation_deg is not None
+                and measured.sigma_deg is not None
+                and measured.sigma_deg <= limit_deg
+            ]
+            if not kept:
+                lines.append(f"{effect:12s} n {len(some):5d}, all declined")
+                continue
+            error, sigma = np.array(kept).T
+            sigmas = error / sigma
+            lines.append(
+                f"{effect:12s} n {len(some):5d} mean {error.mean():.3f} declined {1.0 - len(kept) / len(some):5.1%} "
+                f"within 1 {np.mean(sigmas <= 1.0):4.0%} 2 {np.mean(sigmas <= 2.0):4.0%} "
+                f"beyond 3 {np.mean(sigmas > 3.0):5.1%} 4 {np.mean(sigmas > 4.0):5.1%} "
+                f"median sigma / error {np.median(sigma) / max(float(np.median(error)), 1e-9):.1f}"
+            )
+    return lines
+
+
+def fit_and_report(grasps: int, model: Path | None) -> None:
+    """Measure rotations of known size, fit the constants, and print both sets with what they give by effect."""
     segmenter = Segmenter(model)
-    rendered = (render_grasp(name, SEED + number) for number in range(grasps) for name in object_names("train"))
-    found = list(samples(rendered, segmenter))
-    print(f"{len(found)} rotations of {len({one.grasp for one in found})} grasps, training objects, seeds from {SEED}")
-    if real is not None:
-        tuning = [press for press in press_images(real) if press.part == "tune" and press.readable]
-        found += samples((rotated_grasp(press, "relit", SEED) for press in tuning), segmenter, "relit")
-        found += samples(sheared(real), segmenter, "sheared")
-    for word, constants in (("in use", SIGMA_SHARES), ("fitted", fitted(found))):
-        named = zip(("SPREAD", "NOISE", "GROWTH", "MISFIT"), constants, strict=True)
-        print(f"{word}: " + ", ".join(f"{name} {constant:.3g}" for name, constant in named))
-    for kind in KINDS:
-        some = [one for one in found if one.kind == kind]
-        if some:
-            held = [within(some, sigmas) for sigmas in (1.0, 2.0, 5.0)]
-            print(f"{kind}: within 1 sigma {held[0]:.3f}, 2 sigma {held[1]:.3f}, 5 sigma {held[2]:.4f} of {len(some)}")
-    worst = max(found, key=lambda one: abs(one.error_deg) / sigma_deg(one.fit))
-    print(f"worst: {worst.grasp}, {worst.error_deg:+.2f} degrees at sigma {sigma_deg(worst.fit):.2f}")
-    print(f"root mean square error {math.sqrt(sum(one.error_deg**2 for one in found) / len(found)):.3f} degrees")
+    found = [one for effect, grasp in training_grasps(grasps) for one in samples(effect, grasp, segmenter)]
+    print(f"{len(found)} frames of the training objects, seeds {SEED} to {SEED + grasps - 1}")
+    for title, constants in (("in use", constants_in_use()), ("fitted", fitted(found))):
+        named = ", ".join(f"{name} {value:.3g}" for (_, name), value in constants.items())
+        print(f"{title}: {named}; negative log likelihood {negative_log_likelihood(found, constants):.4f}")
+        print(*table(found, constants), sep="\n")
