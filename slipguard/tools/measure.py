@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from slipguard.errors import FrameCorrupt, InputError
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.rotation.axis import estimate_axis
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
 from slipguard.tools.sample_statistics import rounded
@@ -61,6 +62,10 @@ def measure(
             estimate = pipeline.process(Frame(frame.image, frame.captured_at_s, sequence))
         except FrameCorrupt as error:
             raise InputError(f"{frame.name}: {error}") from error
+        patch = pipeline.last_patch
+        if independent and estimate.contact and patch is not None:  # without a reference, the axis is all there is
+            axis = estimate_axis(patch, "moments" if settings.estimator == "registration" else settings.estimator)
+            estimate = replace(estimate, orientation_deg=axis.angle_deg)
         if reference is None and pipeline.has_reference:
             reference = frame.name
         mask = pipeline.last_mask.copy() if estimate.contact else np.zeros(frame.image.shape[:2], np.uint8)
