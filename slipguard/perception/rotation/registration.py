@@ -42,7 +42,7 @@ _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 _ROUND_PRIOR_STD = np.array([1e-6, 6.0, 6.0, 0.1, 0.5])
 """The same for a round texture, whose rotation is held."""
 
-FLOOR_DEG = 0.03
+FLOOR_DEG = 0.05
 SPREAD, LEAD, ROLLING = 1.5, 0.4, 0.8
 """Shares of the three terms in sigma, fitted by `python -m tests.campaigns fit-sigma`."""
 DEFORMED = 0.055
