@@ -98,6 +98,19 @@ def test_any_map_gives_a_patch_or_none(probability: NDArray[np.float32], thresho
         assert set(np.unique(patch.mask)) <= {0, 1}
 
 
+@pytest.mark.parametrize("beyond", [3e38, -3e38, np.inf, -np.inf, np.nan])
+def test_probabilities_beyond_0_and_1_are_clipped(beyond: float) -> None:
+    clean = drawn("bar", 30.0)
+    spoiled = clean.copy()
+    spoiled[np.random.default_rng(0).random(clean.shape) < 0.02] = beyond
+    patch, whole = (find_patch(one, 0.5, 200, 2.0) for one in (spoiled, clean))
+    assert patch is not None
+    assert whole is not None
+    assert patch.probability.min() >= 0.0
+    assert patch.probability.max() <= 1.0
+    assert patch.center_px == pytest.approx(whole.center_px, abs=1.0)
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_contours_of_objects_are_not_ragged(shape: str) -> None:
     for angle in (0, 20, 65):

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
-from drawn_masks import drawn
 from observations import estimate as said
 
 from slipguard.control.finger_fusion import fuse
-from slipguard.perception.contact.patch import find_patch
-from slipguard.perception.rotation.axis import estimate_axis
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 1e308])
@@ -53,15 +49,3 @@ def test_without_any_rate_the_older_finger_is_ignored() -> None:
     assert fused.rotation_deg == pytest.approx(30.0)
     assert fused.fingers == ("right",)
     assert fused.note == "left finger: older, and its rate is unknown"
-
-
-@pytest.mark.parametrize("beyond", [3e38, -3e38, math.inf, -math.inf, math.nan])
-def test_probabilities_beyond_0_and_1_are_clipped(beyond: float) -> None:
-    clean = drawn("bar", 30.0)
-    spoiled = clean.copy()
-    spoiled[np.random.default_rng(0).random(clean.shape) < 0.02] = beyond
-    patch = find_patch(spoiled, 0.5, 200, 2.0)
-    assert patch is not None
-    assert patch.probability.min() >= 0.0
-    assert patch.probability.max() <= 1.0
-    assert estimate_axis(patch, "moments").angle_deg == pytest.approx(30.0, abs=2.0)
