@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from test_gate import camera, glow, press
 
@@ -37,14 +33,12 @@ def rotated(degrees: float) -> NDArray[np.float64]:
     return press(press(glow(), 60, 40, (120, 130)), 50, 15, (120 + 70 * np.sin(a), 130 + 70 * np.cos(a)))
 
 
-@given(st.integers(0, 10_000))
-@settings(max_examples=25, deadline=None)
-@pytest.mark.campaign
-def test_noise_and_flickering_columns_are_no_change(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    still = still_on(DENT, rng)
-    columns = [DENT + rng.normal(0.0, 0.8, (1, 240, 3)) for _ in range(10)]
-    assert sum(still.unchanged(block_means(camera(scene, rng))) for scene in columns) >= 9
+def test_noise_and_flickering_columns_are_no_change() -> None:
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        still = still_on(DENT, rng)
+        columns = [DENT + rng.normal(0.0, 0.8, (1, 240, 3)) for _ in range(10)]
+        assert sum(still.unchanged(block_means(camera(scene, rng))) for scene in columns) >= 9
 
 
 @pytest.mark.parametrize("degrees", [1.0, -1.0, 5.0, 40.0])
@@ -86,25 +80,6 @@ def test_rest_must_last_twice_as_long_as_the_last_change() -> None:
     assert not still.at_rest(59.0)
 
 
-def test_a_glitch_does_not_end_rest_and_a_lasting_change_does() -> None:
-    rng = np.random.default_rng(6)
-    still = still_on(DENT, rng)
-    same, other = (block_means(camera(scene, rng)) for scene in (DENT, rotated(5.0)))
-    still.add(other, NEAR, 2.0, still.unchanged(other))
-    assert not still.at_rest(2.01)
-    assert not still.restored
-    assert still.unchanged(same)
-    assert still.restored  # what was measured on the other image is not of this one
-    assert still.at_rest(2.02)
-    assert still.unchanged(same)
-    assert not still.restored
-    for k in range(6):
-        other = block_means(camera(rotated(5.0), rng))
-        still.add(other, NEAR, 3.0 + k * FRAME_S, still.unchanged(other))
-    assert not still.unchanged(same)
-    assert not still.at_rest(3.2)
-
-
 def test_a_faint_contact_is_not_sensitive_enough_to_skip() -> None:
     rng = np.random.default_rng(7)
     faint = press(glow(), 1.5, 40, (120, 160))
@@ -128,14 +103,3 @@ def test_a_camera_that_becomes_noisy_counts_as_a_change() -> None:
     still = still_on(DENT, rng)
     noisy = [DENT + 12.0 * rng.standard_normal(DENT.shape) for _ in range(10)]
     assert not any(still.unchanged(block_means(camera(scene, rng))) for scene in noisy)
-
-
-def test_without_contact_the_whole_image_is_compared() -> None:
-    rng = np.random.default_rng(10)
-    gate = ContactGate(None, DEFAULT_NOISE_BGR)
-    still = ChangeDetector(gate.inverse_std, gate.background)
-    for k in range(AVERAGED):
-        still.add(block_means(camera(glow(), rng)), None, k * FRAME_S, k > 0)
-    assert sum(still.unchanged(block_means(camera(glow(), rng))) for _ in range(20)) >= 19
-    for levels, at in itertools.product((8.0, -8.0), ((60, 60), (180, 250))):
-        assert not still.unchanged(block_means(camera(press(glow(), levels, 30, at), rng)))

@@ -1,346 +1,293 @@
-"""From a frame to an estimate, with a segmenter that reads the contact from the blue channel."""
+"""From a frame to an estimate: signs, the reference, contact that comes and goes, input that is not valid."""
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
-from typing import cast
 
 import cv2
 import numpy as np
 import pytest
-from blue_contact import BACKGROUND, ReadsBlue, frame
-from drawn_masks import drawn
+from held_finger import BACKGROUND, CENTER, FRAME_S, PX_PER_MM, START_DEG, DrawnContact, DrawnFinger, RenderedFinger
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.contact.patch import resize_mask_to_frame
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.rotation.axial_angle import axial_difference_deg
-from slipguard.perception.rotation.skeleton import middle_line
-from slipguard.perception.settings import EstimatorName, PerceptionSettings
+from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import Skips
-
-ESTIMATORS: tuple[EstimatorName, ...] = ("fused", "registration", "moments", "ellipse", "pca", "skeleton")
-
-
-class ReadsNaN(ReadsBlue):
-    def segment(self, image: NDArray[np.uint8], background: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-        return np.full((160, 120), np.nan, np.float32)
+from slipguard.stress.textured_surfaces import LedLights, Surface, ball, lettered, plate, ring
 
 
-def pipeline(mounting_deg: int = 0, segmenter: ReadsBlue | None = None, **settings: object) -> Pipeline:
-    return Pipeline(
-        segmenter or ReadsBlue(),
-        PerceptionSettings(**settings),  # type: ignore[arg-type]
-        BACKGROUND,
-        (1.0, 1.0, 1.0),
-        18.5,
-        mounting_deg,
-    )
+def assert_within(estimate: Estimate, true_deg: float, sigma_max_deg: float = 1.5) -> None:
+    """Assert that an estimate is right, and certain."""
+    assert estimate.rotation_deg is not None, estimate.declined
+    assert estimate.sigma_deg is not None
+    assert estimate.sigma_deg < sigma_max_deg
+    assert abs(estimate.rotation_deg - true_deg) < 4.0 * estimate.sigma_deg + 0.05
 
 
-def run(pipe: Pipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
-    return [pipe.process(frame(drawn(shape, a, ragged_px=0.2, seed=k), k)) for k, a in enumerate(angles, start)]
+@pytest.mark.parametrize("surface", [lettered, plate])
+@pytest.mark.parametrize("rotation_deg", [12.0, -45.0])
+def test_rotations_are_counter_clockwise_and_cross_90_degrees(surface: Surface, rotation_deg: float) -> None:
+    finger = DrawnFinger(surface)
+    finger.rest(6, 70.0)
+    for part in np.linspace(0.0, 1.0, 12):
+        last = finger.see(70.0 + part * rotation_deg)
+        assert_within(last, part * rotation_deg)
+    assert last.contact
+    assert last.method == "registration"
+    assert last.rate_deg_s == pytest.approx(rotation_deg / 11 / FRAME_S, rel=0.1)
+    if surface is plate:
+        assert last.orientation_deg is not None
+        assert -90.0 < last.orientation_deg <= 90.0
+        assert abs(axial_difference_deg(last.orientation_deg, START_DEG + 70.0 + rotation_deg)) < 1.0
 
 
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize(("before", "now", "rotation"), [(-6, 6, 12), (80, 100, 20), (10, -35, -45)])
-def test_rotations_are_signed_and_cross_90_degrees(
-    estimator: EstimatorName, before: float, now: float, rotation: float
-) -> None:
-    steps = list(np.linspace(before, now, 12))
-    last = run(pipeline(estimator=estimator), "bar", [before] * 6 + steps)[-1]
-    assert last.rotation_deg == pytest.approx(rotation, abs=1.0)
-    assert last.orientation_deg is not None
-    assert -90 < last.orientation_deg <= 90
-    assert abs(axial_difference_deg(last.orientation_deg, now)) < 1.0
-    assert last.method == estimator
-
-
-def test_a_full_revolution_is_unwrapped() -> None:
-    last = run(pipeline(), "key", [0.0] * 5 + [4.0 * k for k in range(1, 91)])[-1]
-    assert last.rotation_deg == pytest.approx(360.0, abs=1.5)
-    assert last.rate_deg_s == pytest.approx(240.0, rel=0.1)
-
-
-def test_the_reference_is_the_first_stable_contact() -> None:
-    pipe = pipeline()
-    growing = [pipe.process(frame(drawn("bar", 20, scale=0.5 + 0.1 * k), k)) for k in range(6)]
-    assert not pipe.has_reference
-    assert {e.declined for e in growing} == {"no reference yet"}
-    still = run(pipe, "bar", [20.0] * 6, start=6)
-    assert pipe.has_reference
-    assert still[-1].rotation_deg == pytest.approx(0.0, abs=0.3)
-    assert pipe._meter.reference is not None
-    assert pipe._meter.reference.patch.area_px == pytest.approx(still[-1].contact_area_px, rel=0.05)
-    assert math.pi * (18.5 * still[-1].contact_radius_mm) ** 2 == pytest.approx(still[-1].contact_area_px)
-
-
-def test_rotations_while_the_force_grows_count_from_the_first_tenth_of_a_second() -> None:
-    pipe = pipeline()
-    for k in range(40):
-        rotation = 0.5 * max(k - 5, 0)
-        estimate = pipe.process(frame(drawn("bar", 20 + rotation, scale=0.4 + 0.02 * k), k))
-        if k == 6:
-            assert pipe.has_reference
-    assert estimate.rotation_deg == pytest.approx(16.5, abs=0.5)
-    assert pipe._meter.reference is not None
-    assert pipe._meter.reference.patch.area_px > 2000  # it follows while the contact grows from 1,800 px
-    since_it_deg = pipe._meter._tracker._last[1]
-    assert pipe.carried_deg > 1.0
-    assert pipe.carried_deg + since_it_deg == pytest.approx(estimate.rotation_deg, abs=1e-6)
-
-
-def test_the_reference_may_be_the_first_contact() -> None:
-    pipe = pipeline(reference="first")
-    first, second = run(pipe, "bar", [20.0, 26.0])
-    assert first.rotation_deg == pytest.approx(0.0, abs=0.2)
-    assert second.rotation_deg == pytest.approx(6.0, abs=0.7)
-
-
-def test_a_new_reference_starts_at_zero() -> None:
-    pipe = pipeline()
-    run(pipe, "bar", [0.0] * 5 + [10.0] * 5)
-    pipe.reset_reference()
-    assert not pipe.has_reference
-    assert pipe.reference_image is None
-    assert run(pipe, "bar", [10.0] * 6, start=20)[-1].rotation_deg == pytest.approx(0.0, abs=0.4)
-
-
-@pytest.mark.parametrize("estimator", ESTIMATORS)
-@pytest.mark.parametrize("shape", ["disc", "ring"])
-def test_round_contacts_are_declined_but_their_shift_is_measured(estimator: EstimatorName, shape: str) -> None:
-    pipe = pipeline(estimator=estimator)
-    run(pipe, shape, [0.0] * 6)
-    moved = pipe.process(frame(drawn(shape, 25, (69.25, 61.5)), 9))
-    assert moved.contact
-    assert moved.rotation_deg is None
-    assert moved.sigma_deg is None
-    assert moved.rate_deg_s is None
-    assert moved.declined
-    assert moved.shift_mm == pytest.approx((1.0, 2.0), abs=0.05)
+@pytest.mark.parametrize("surface", [lettered, plate])
+def test_a_full_revolution_is_unwrapped(surface: Surface) -> None:
+    finger = DrawnFinger(surface)
+    finger.rest()
+    for k in range(1, 46):
+        last = finger.see(8.0 * k)
+        assert_within(last, 8.0 * k)
+    assert last.rate_deg_s == pytest.approx(480.0, rel=0.05)
 
 
 @pytest.mark.parametrize(
     ("mounting_deg", "shift_mm", "orientation_deg"),
-    [(0, (0.5, 1.0), 30), (90, (-1.0, 0.5), -60), (180, (-0.5, -1.0), 30), (270, (1.0, -0.5), -60)],
+    [(0, (0.5, 1.0), 25), (90, (-1.0, 0.5), -65), (180, (-0.5, -1.0), 25), (270, (1.0, -0.5), -65)],
 )
 def test_mounting_rotates_directions_but_not_rotations(
     mounting_deg: int, shift_mm: tuple[float, float], orientation_deg: float
 ) -> None:
-    pipe = pipeline(mounting_deg)
-    run(pipe, "bar", [20.0] * 6)
-    moved = pipe.process(frame(drawn("bar", 30, (64.625, 70.75)), 9))
-    assert moved.rotation_deg == pytest.approx(10.0, abs=0.8)
-    assert moved.shift_mm == pytest.approx(shift_mm, abs=0.15)
+    finger = DrawnFinger(plate, mounting_deg=mounting_deg)
+    finger.rest()
+    for part in (0.5, 1.0):
+        moved = finger.see(10.0 * part, at=(CENTER[0] + part * 0.5 * PX_PER_MM, CENTER[1] - part * PX_PER_MM))
+    assert_within(moved, 10.0)
+    assert moved.shift_mm == pytest.approx(shift_mm, abs=0.05)
     assert moved.orientation_deg == pytest.approx(orientation_deg, abs=1.0)
 
 
-def test_no_contact_needs_no_network() -> None:
-    segmenter = ReadsBlue()
-    pipe = pipeline(segmenter=segmenter)
-    for k in range(5):
-        last_estimate = pipe.process(frame(None, k))
-        assert (last_estimate.contact, last_estimate.skipped, last_estimate.declined) == (
-            False,
-            "no contact",
-            "no contact",
-        )
-        assert last_estimate.contact_area_px == 0
-        assert last_estimate.measured_at_s == last_estimate.captured_at_s
-    assert segmenter.calls == 0
-    assert not pipe.last_mask.any()
-    assert pipe.last_patch is None
+def test_the_reference_is_the_first_stable_contact() -> None:
+    finger = DrawnFinger(lettered)
+    growing = [finger.see(0.0, force=0.5 + 0.1 * k) for k in range(5)]
+    assert not finger.pipeline.has_reference
+    assert {one.declined for one in growing} == {"no reference yet"}
+    stable = finger.rest(5)
+    assert finger.pipeline.has_reference
+    assert finger.pipeline.reference_image is not None
+    assert finger.pipeline.carried_deg == 0.0
+    assert_within(stable, 0.0)
+    assert stable.contact_radius_mm is not None
+    assert math.pi * (PX_PER_MM * stable.contact_radius_mm) ** 2 == pytest.approx(stable.contact_area_px)
 
 
-def test_an_unchanged_image_repeats_the_estimate_for_at_most_a_quarter_second() -> None:
-    segmenter = ReadsBlue()
-    pipe = pipeline(segmenter=segmenter)
-    frame_image = drawn("bar", 20)
-    estimates = [pipe.process(frame(frame_image, k)) for k in range(180)]
-    measured = sum(one.skipped is None for one in estimates)
-    assert segmenter.calls < measured / 2  # the texture shows that the contact is the same
-    assert 36 <= measured <= 60  # half a second to be sure of the rest, then four a second
-    reused = [a for a in estimates if a.skipped]
-    assert {a.skipped for a in reused} == {"unchanged"}
-    assert all(0.0 < a.captured_at_s - a.measured_at_s < 0.25 for a in reused)
-    assert [a.sequence for a in estimates] == list(range(180))
-    assert all(a.contact and a.rotation_deg is not None for a in estimates[6:])
-    rotated = pipe.process(frame(drawn("bar", 21.5), 180))
-    assert rotated.skipped is None
-    assert rotated.rotation_deg == pytest.approx(1.5, abs=0.4)
+@pytest.mark.parametrize("name", ["wrench", "key", "hook"])
+def test_a_growing_contact_has_a_reference_after_a_tenth_of_a_second(name: str) -> None:
+    """Rotations count from there."""
+    finger = RenderedFinger(name, 3)
+    for k in range(40):
+        last = finger.see(max(k - 6, 0), deeper=min(0.15 + 0.03 * k, 1.0))
+        if k > 7:
+            assert_within(last, k - 6, 2.5)
 
 
-@pytest.mark.parametrize("knock", [3.0, 70.0])
-def test_after_a_glitch_of_one_frame_the_estimate_is_that_of_the_image(knock: float) -> None:
-    pipe = pipeline()
-    for k in range(90):
-        pipe.process(frame(drawn("bar", 20), k))
-    struck = pipe.process(frame(drawn("bar", 20 + knock), 90))
-    assert struck.skipped is None
-    after = [pipe.process(frame(drawn("bar", 20), k)) for k in range(91, 121)]
-    assert after[0].skipped is None
-    assert {last_estimate.skipped for last_estimate in after} == {None, "unchanged"}
-    assert [last_estimate.rotation_deg for last_estimate in after] == pytest.approx([0.0] * 30, abs=0.5)
-    assert [last_estimate.rate_deg_s for last_estimate in after[10:]] == pytest.approx([0.0] * 20, abs=2.0)
+def test_a_reference_taken_while_the_contact_grows_is_replaced_by_a_later_one() -> None:
+    finger = RenderedFinger("wedge", 3)
+    for k in range(20):
+        last = finger.see(max(k - 6, 0), deeper=0.15 + 0.03 * k)
+        if k == 7:
+            first_image = finger.pipeline.reference_image
+        if k > 7 and last.segmented:
+            assert_within(last, k - 6, 2.5)
+    assert first_image is not None
+    assert finger.pipeline.reference_image is not first_image
+    assert finger.pipeline.carried_deg > 3.0
 
 
-def test_a_slow_rotation_is_measured_within_half_a_degree_despite_skips() -> None:
-    pipe = pipeline()
-    run(pipe, "bar", [20.0] * 6)
-    for k in range(6, 90):
-        true = 0.05 * (k - 5)
-        last_estimate = pipe.process(frame(drawn("bar", 20.0 + true), k))
-        assert last_estimate.rotation_deg == pytest.approx(true, abs=0.5)
+def test_the_reference_may_be_the_first_contact() -> None:
+    finger = DrawnFinger(lettered, reference="first")
+    assert_within(finger.see(0.0), 0.0)
+    assert_within(finger.see(6.0), 6.0)
 
 
-def test_skipping_can_be_switched_off() -> None:
-    segmenter = ReadsBlue()
-    pipe = pipeline(segmenter=segmenter, skip_unchanged=False)
-    run(pipe, "bar", [20.0] * 20)
-    assert segmenter.calls < 20
-    always = Skips(whole=False)
-    pipe = Pipeline(
-        segmenter, PerceptionSettings(skip_unchanged=False), BACKGROUND, (1.0, 1.0, 1.0), 18.5, skips=always
-    )
-    calls = segmenter.calls
-    run(pipe, "bar", [20.0] * 20)
-    assert segmenter.calls - calls == 20
+def test_a_new_reference_starts_at_zero() -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    assert_within(finger.see(10.0), 10.0)
+    finger.pipeline.reset_reference()
+    assert not finger.pipeline.has_reference
+    assert finger.pipeline.reference_image is None
+    assert_within(finger.rest(6, 10.0), 0.0)
 
 
-def test_a_flipped_axis_is_not_a_rotation() -> None:
-    pipe = pipeline(estimator="moments")
-    run(pipe, "rectangle", [0.0] * 6)
-    flipped = pipe.process(frame(drawn("rectangle", 90), 7))
-    assert flipped.rotation_deg is None
-    assert flipped.decline_reason in ("implausible jump", "too uncertain")
+@pytest.mark.parametrize("surface", [ball, ring])
+def test_a_round_contact_is_declined_and_its_shift_measured(surface: Surface) -> None:
+    finger = DrawnFinger(surface)
+    finger.rest()
+    moved = finger.see(25.0, at=(138.5, 123.0))
+    assert moved.contact
+    assert moved.decline_reason == "round contact"
+    assert (moved.rotation_deg, moved.sigma_deg, moved.rate_deg_s) == (None, None, None)
+    assert moved.shift_mm == pytest.approx((1.0, 2.0), abs=0.05)
 
 
-def test_contact_lost_and_found_keeps_its_reference() -> None:
-    pipe = pipeline()
-    run(pipe, "bar", [0.0] * 6)
-    for k in range(6, 10):
-        assert not pipe.process(frame(None, k)).contact
-    assert run(pipe, "bar", [8.0] * 3, start=10)[-1].rotation_deg == pytest.approx(8.0, abs=0.7)
+def test_without_contact_the_network_does_not_run() -> None:
+    finger = DrawnFinger(None)
+    for _ in range(5):
+        last = finger.see(0.0)
+        assert (last.contact, last.skipped, last.declined) == (False, "no contact", "no contact")
+        assert (last.contact_area_px, last.contact_radius_mm, last.rotation_deg) == (0, None, None)
+        assert last.measured_at_s == last.captured_at_s
+    assert finger.network.calls == 0
+    assert not finger.pipeline.last_mask.any()
+    assert finger.pipeline.last_patch is None
 
 
-def test_mask_and_skeleton_are_those_of_the_last_frame() -> None:
-    pipe = pipeline()
-    run(pipe, "bar", [30.0] * 2)
-    assert pipe.last_patch is not None
-    line = middle_line(pipe.last_patch)
-    skeleton = resize_mask_to_frame(dataclasses.replace(pipe.last_patch, mask=line.skeleton).full_mask())
-    mask = pipe.last_mask
-    assert mask.shape == skeleton.shape == (320, 240)
+def test_a_contact_that_leaves_and_returns_keeps_its_reference() -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    finger.surface = None
+    assert not any(finger.see(0.0).contact for _ in range(4))
+    finger.surface = lettered
+    assert_within(finger.rest(3, 8.0), 8.0)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.25])
+def test_a_change_of_the_light_is_no_rotation(gain: float) -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    for _ in range(4):
+        finger.now_s += FRAME_S
+        drawn = finger.draw(5.0)
+        image = np.clip(100.0 + gain * (drawn.image.astype(np.float32) - 100.0) + 4.0, 0, 255).astype(np.uint8)
+        assert_within(finger.pipeline.process(Frame(image, finger.now_s, finger.frames)), 5.0)
+
+
+def test_lights_of_another_order_and_strength_are_learned() -> None:
+    for lights in (LedLights((1.0, 0.6, 1.5)), LedLights(azimuths_deg=(270.0, 30.0, 150.0))):
+        finger = DrawnFinger(lettered, lights=lights)
+        finger.rest()
+        for k in range(1, 9):
+            assert_within(finger.see(3.0 * k), 3.0 * k)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_a_corrupt_frame_is_an_error_and_changes_nothing(level: int) -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    assert_within(finger.see(3.0), 3.0)
+    with pytest.raises(FrameCorrupt) as caught:
+        finger.pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), finger.now_s + 0.01, 99))
+    assert "\n" not in str(caught.value)
+    assert_within(finger.see(6.0), 6.0)
+
+
+@pytest.mark.parametrize("gain", [0.05, 0.1])
+def test_a_dark_frame_is_declined_or_right_and_the_next_one_measured(gain: float) -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    finger.now_s += FRAME_S
+    dark = Frame(np.asarray(np.rint(gain * finger.draw(3.0).image), np.uint8), finger.now_s, finger.frames)
+    seen = finger.pipeline.process(dark)
+    assert seen.rotation_deg is None or abs(seen.rotation_deg - 3.0) < 4.0 * (seen.sigma_deg or 0.0)
+    assert_within(finger.see(6.0), 6.0)
+
+
+def test_a_map_that_is_not_a_number_is_no_contact() -> None:
+    finger = DrawnFinger(lettered)
+    drawn = finger.draw(0.0)
+    finger.network.map = np.full((160, 120), np.nan, np.float32)
+    assert not finger.pipeline.process(drawn).contact
+
+
+@pytest.mark.parametrize("at_s", [math.nan, math.inf, -math.inf])
+def test_a_frame_without_a_capture_time_is_an_error(at_s: float) -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    with pytest.raises(FrameCorrupt, match="no capture time"):
+        finger.pipeline.process(Frame(finger.draw(3.0).image, at_s, 99))
+    assert_within(finger.see(6.0), 6.0)
+
+
+def test_irregular_times_give_the_same_rotations_and_finite_rates() -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    rng = np.random.default_rng(5)
+    late_s = [0.0, 1e-9, -0.004, *rng.uniform(0.002, 0.03, 9), -0.3, 1e-9]
+    for k, after_s in enumerate(late_s, 1):
+        last = finger.see(2.0 * k, after_s)
+        assert_within(last, 2.0 * k)
+        assert last.rate_deg_s is None or math.isfinite(last.rate_deg_s)
+    for k in range(9):
+        last = finger.see(28.0 + k)
+    assert last.rate_deg_s == pytest.approx(60.0, rel=0.05)
+
+
+def test_a_mask_of_noise_gives_no_certain_rotation() -> None:
+    rng = np.random.default_rng(8)
+    finger = DrawnFinger(lettered, reference="first", skip_unchanged=False)
+    certain = []
+    for k in range(30):
+        drawn = finger.draw(0.0)
+        blobs = cv2.GaussianBlur(rng.random((160, 120)).astype(np.float32), (0, 0), rng.uniform(2, 8))
+        blobs = np.asarray((blobs - blobs.min()) / (blobs.max() - blobs.min()), np.float32)
+        finger.network.map = np.asarray(blobs > 0.55, np.float32)
+        image = np.asarray(rng.integers(60, 140, (320, 240, 3)), np.uint8)
+        image = cv2.GaussianBlur(image, (0, 0), 3.0)
+        last = finger.pipeline.process(Frame(np.asarray(image), k * FRAME_S, drawn.sequence))
+        if k and last.sigma_deg is not None and last.sigma_deg < 2.0:
+            certain.append(k)
+    assert len(certain) <= 1
+
+
+def test_the_mask_is_that_of_the_last_frame_and_finer_than_the_network() -> None:
+    finger = DrawnFinger(plate)
+    finger.see(30.0)
+    mask, patch = finger.pipeline.last_mask, finger.pipeline.last_patch
+    assert mask.shape == (320, 240)
     assert set(np.unique(mask)) == {0, 1}
-    assert skeleton.any()
-    assert not (skeleton & ~mask & 1).any()
-
-
-def test_the_mask_is_finer_than_the_networks_pixels() -> None:
-    pipe = pipeline()
-    shape = drawn("bar", 30.0)
-    pipe.process(frame(shape, 0))
-    true = cv2.resize(shape, (240, 320)) > 0.6 / 1.1  # half of what `ReadsBlue` makes of it
-    assert pipe.last_patch is not None
-    doubled = pipe.last_patch.full_mask().repeat(2, axis=0).repeat(2, axis=1)
-    assert np.count_nonzero(pipe.last_mask != true) < 0.5 * np.count_nonzero(doubled != true)
+    assert patch is not None
+    true = cv2.resize(finger.network.map, (240, 320), interpolation=cv2.INTER_CUBIC) > 0.5
+    doubled = patch.full_mask().repeat(2, axis=0).repeat(2, axis=1)
+    assert np.count_nonzero(mask != true) < 0.5 * np.count_nonzero(doubled != true)
 
 
 def test_stage_times_come_from_the_injected_timer() -> None:
     ticks = itertools.count()
-    settings, always = PerceptionSettings(), Skips(whole=False)
-    timer = lambda: 0.001 * next(ticks)  # noqa: E731
-    pipe = Pipeline(ReadsBlue(), settings, BACKGROUND, None, 18.5, timer=timer, skips=always)
-    estimates = [pipe.process(frame(drawn("bar", 20 + k), k)) for k in range(8)]
-    assert set(estimates[-1].stage_ms) == {"gate", "segment", "regions", "relief", "angle", "track"}
-    assert all(value == pytest.approx(round(value)) and value > 0.9 for value in estimates[-1].stage_ms.values())
-    assert pipeline().process(frame(drawn("bar", 20), 0)).stage_ms == {}
-
-
-def test_values_that_are_not_finite_are_rejected() -> None:
-    last_estimate = pipeline(segmenter=ReadsNaN()).process(frame(drawn("bar"), 0))
-    assert not last_estimate.contact
-    for at in (float("nan"), float("inf")):
-        with pytest.raises(FrameCorrupt, match="no capture time"):
-            pipeline().process(frame(drawn("bar"), 0, captured_at_s=at))
-
-
-def test_a_noise_mask_gives_no_certain_rotation() -> None:
-    rng = np.random.default_rng(8)
-    pipe = pipeline(reference="first", skip_unchanged=False)
-    certain = []
-    for k in range(60):
-        blobs = cv2.GaussianBlur(rng.random((160, 120)).astype(np.float32), (0, 0), rng.uniform(2, 8))
-        blobs = ((blobs - blobs.min()) / (blobs.max() - blobs.min()) > 0.55).astype(np.float32)
-        last_estimate = pipe.process(frame(blobs, k))
-        if k and last_estimate.rotation_deg is not None and cast("float", last_estimate.sigma_deg) < 2.0:
-            certain.append(k)
-    assert len(certain) <= 3
+    finger = DrawnFinger(lettered)
+    pipeline = Pipeline(
+        finger.network,
+        PerceptionSettings(),
+        BACKGROUND,
+        None,
+        PX_PER_MM,
+        timer=lambda: 0.001 * next(ticks),
+        skips=Skips(whole=False),
+    )
+    for k in range(7):
+        last = pipeline.process(Frame(finger.draw(float(k)).image, k * FRAME_S, k))
+    assert set(last.stage_ms) == {"gate", "segment", "regions", "relief", "track"}
+    assert all(value == pytest.approx(round(value)) and value > 0.9 for value in last.stage_ms.values())
+    assert finger.see(0.0).stage_ms == {}
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("background", "px_per_mm", "mounting_deg", "says"),
     [
-        ({"mounting_deg": 45}, "0, 90, 180 or 270"),
-        ({"px_per_mm": 0.0}, "px_per_mm"),
-        ({"background": 0}, "background image"),
+        (BACKGROUND, PX_PER_MM, 45, "0, 90, 180 or 270"),
+        (BACKGROUND, 0.0, 0, "px_per_mm"),
+        (BACKGROUND, math.nan, 0, "px_per_mm"),
+        (BACKGROUND[:10], PX_PER_MM, 0, "background image"),
     ],
 )
-def test_an_invalid_setting_is_one_line(change: dict[str, float], says: str) -> None:
-    background = BACKGROUND[:10] if "background" in change else BACKGROUND
+def test_an_invalid_setting_is_one_line(
+    background: NDArray[np.uint8], px_per_mm: float, mounting_deg: int, says: str
+) -> None:
     with pytest.raises(InputError, match=says) as caught:
-        Pipeline(
-            ReadsBlue(),
-            PerceptionSettings(),
-            background,
-            None,
-            change.get("px_per_mm", 18.5),
-            int(change.get("mounting_deg", 0)),
-        )
+        Pipeline(DrawnContact(), PerceptionSettings(), background, None, px_per_mm, mounting_deg)
     assert "\n" not in str(caught.value)
-
-
-def test_a_corrupt_frame_changes_nothing() -> None:
-    pipe = pipeline()
-    before = run(pipe, "bar", [0.0] * 6)[-1]
-    with pytest.raises(FrameCorrupt):
-        pipe.process(Frame(np.zeros((320, 240, 3), np.uint8), 0.2, 7))
-    after = pipe.process(frame(drawn("bar", 0.0, ragged_px=0.2, seed=5), 8))
-    assert dataclasses.replace(after, sequence=0, captured_at_s=0, measured_at_s=0, skipped=None).rotation_deg == (
-        pytest.approx(before.rotation_deg, abs=0.4)
-    )
-
-
-def test_a_contact_that_does_not_change_is_measured_without_the_network() -> None:
-    segmenter = ReadsBlue()
-    pipe = pipeline(segmenter=segmenter, skip_unchanged=False)
-    run(pipe, "key", [20.0] * 6)
-    calls = segmenter.calls
-    seen = run(pipe, "key", [20.0] * 28, start=6)
-    assert segmenter.calls - calls <= 20  # drawn and ragged: its texture is faint
-    assert sum(one.segmented for one in seen) == segmenter.calls - calls
-    assert [one.rotation_deg for one in seen] == pytest.approx([0.0] * 28, abs=0.7)
-    assert [one.measured_at_s for one in seen] == [one.captured_at_s for one in seen]
-
-
-@pytest.mark.parametrize("change", ["second contact", "growth", "leap", "none left"])
-def test_a_contact_that_changes_is_segmented_in_the_same_frame(change: str) -> None:
-    segmenter = ReadsBlue()
-    pipe = pipeline(segmenter=segmenter)
-    run(pipe, "key", [20.0] * 8)
-    calls = segmenter.calls
-    shape = drawn("key", 20)
-    changed = {
-        "second contact": np.maximum(shape, drawn("disc", 0, (20.0, 140.0), scale=0.4)),
-        "growth": drawn("key", 20, scale=1.25),
-        "leap": drawn("key", 35),
-        "none left": None,
-    }[change]
-    seen = pipe.process(frame(changed, 8))
-    assert segmenter.calls == calls + (change != "none left")
-    assert seen.contact is (change != "none left")

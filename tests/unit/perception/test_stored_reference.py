@@ -4,109 +4,127 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from blue_contact import BACKGROUND, ReadsBlue, frame
-from drawn_masks import drawn
+from held_finger import DrawnFinger, RenderedFinger
 
 from slipguard.errors import FrameCorrupt
 from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import Estimate
-from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.settings import PerceptionSettings
-from slipguard.perception.stored_reference import (
-    DIFFERS_AFTER,
-    MATCHES_AFTER,
-    ResumingPipeline,
-    StoredReference,
-)
+from slipguard.perception.stored_reference import DIFFERS_AFTER, MATCHES_AFTER, ResumingPipeline, StoredReference
+from slipguard.stress.textured_surfaces import Surface, ball, gear, lettered, nut, plate
+
+RESTART_S = 10.0
+WAITING = DeclineReason.CHECKING_STORED_REFERENCE
 
 
-def pipeline() -> ResumingPipeline:
-    return ResumingPipeline(Pipeline(ReadsBlue(), PerceptionSettings(), BACKGROUND, (1.0, 1.0, 1.0), 18.5))
-
-
-def run(pipe: ResumingPipeline, shape: str, angles: list[float], start: int = 0) -> list[Estimate]:
-    return [pipe.process(frame(drawn(shape, a, ragged_px=0.2, seed=k), k)) for k, a in enumerate(angles, start)]
-
-
-def before(shape: str, rotation_deg: float) -> StoredReference:
-    """What a pipeline that is gone now has left behind."""
-    pipe = pipeline()
-    steps = list(np.linspace(0.0, rotation_deg, 12))
-    last = run(pipe, shape, [0.0] * 6 + steps)[-1]
-    assert pipe.reference_image is not None
+def before(rotation_deg: float, surface: Surface = lettered) -> StoredReference:
+    """Return what a pipeline that is gone now has left behind."""
+    finger = DrawnFinger(surface)
+    finger.rest()
+    for part in np.linspace(0.0, rotation_deg, 12):
+        last = finger.see(float(part))
+    image = finger.resuming.reference_image
+    assert image is not None
     assert last.rotation_deg is not None
-    return StoredReference(pipe.reference_image, last.rotation_deg)
+    return StoredReference(image, last.rotation_deg)
 
 
-@pytest.mark.parametrize("rotation_deg", [0.0, 14.0, -38.0, 70.0])
-def test_the_rotation_continues_from_the_stored_reference(rotation_deg: float) -> None:
-    pipe = pipeline()
-    known = before("key", rotation_deg)
-    pipe.resume(known, 10.0)
-    assert pipe.stored_reference_state == "waiting"
-    assert pipe.reference_image is None
-    estimates = run(pipe, "key", [rotation_deg + 3.0] * 6, start=600)
-    assert [last_estimate.declined for last_estimate in estimates[: MATCHES_AFTER - 1]] == [
-        DeclineReason.CHECKING_STORED_REFERENCE
-    ] * (MATCHES_AFTER - 1)
-    assert pipe.stored_reference_state == "matches"
-    assert estimates[-1].rotation_deg == pytest.approx(rotation_deg + 3.0, abs=1.0)
-    assert pipe.reference_image is known.image
-    on = run(pipe, "key", list(np.linspace(rotation_deg + 3.0, rotation_deg + 15.0, 6)), start=606)[-1]
-    assert on.rotation_deg == pytest.approx(rotation_deg + 15.0, abs=1.0)
+def resumed(
+    stored: StoredReference, surface: Surface | None = lettered, shown: Surface | None = lettered
+) -> DrawnFinger:
+    """Return a finger of a new process that resumes, before a surface. shown: what the stored image shows."""
+    finger = DrawnFinger(shown)
+    finger.draw(0.0)
+    finger.now_s = RESTART_S
+    finger.resuming.resume(stored, RESTART_S)
+    finger.surface = surface
+    return finger
 
 
-def test_another_object_gets_a_new_reference_and_continues_from_the_last_rotation() -> None:
-    pipe = pipeline()
-    pipe.resume(before("key", 14.0), 10.0)
-    estimates = run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=600)
-    assert {last_estimate.declined for last_estimate in estimates[:-1]} == {DeclineReason.CHECKING_STORED_REFERENCE}
-    assert estimates[-1].rotation_deg is None
-    assert pipe.stored_reference_state == "differs"
-    run(pipe, "bar", [40.0] * 6, start=600 + DIFFERS_AFTER)
-    rotated = run(pipe, "bar", list(np.linspace(40.0, 47.0, 6)), start=620)[-1]
-    assert rotated.rotation_deg == pytest.approx(14.0 + 7.0, abs=1.0)
-    assert pipe.earlier_rotation_deg == pytest.approx(14.0, abs=1.0)
-    assert pipe.reference_image is not None
+@pytest.mark.parametrize(("rotation_deg", "now_deg"), [(0.0, 0.0), (14.0, 17.0), (-38.0, -35.0), (70.0, 20.0)])
+def test_the_rotation_continues_wherever_the_object_is_now(rotation_deg: float, now_deg: float) -> None:
+    stored = before(rotation_deg)
+    finger = resumed(stored)
+    assert finger.resuming.stored_reference_state == "waiting"
+    assert finger.resuming.reference_image is None
+    seen = [finger.see(now_deg) for _ in range(MATCHES_AFTER)]
+    assert [one.declined for one in seen[:-1]] == [WAITING] * (MATCHES_AFTER - 1)
+    assert all(one.rotation_deg is None and one.shift_mm is None for one in seen[:-1])
+    assert seen[-1].rotation_deg == pytest.approx(now_deg, abs=0.5)
+    assert finger.resuming.stored_reference_state == "matches"
+    assert finger.resuming.reference_image is stored.image
+    assert finger.see(now_deg + 8.0).rotation_deg == pytest.approx(now_deg + 8.0, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["wrench", "key", "hook"])
+def test_a_rendered_object_is_recognized(name: str) -> None:
+    finger = RenderedFinger(name, 3)
+    finger.rest()
+    for rotation_deg in (5.0, 10.0, 14.0):
+        last = finger.see(rotation_deg)
+    image = finger.pipeline.reference_image
+    assert image is not None
+    assert last.rotation_deg is not None
+    resuming = ResumingPipeline(finger.pipeline)
+    resuming.resume(StoredReference(image, last.rotation_deg), RESTART_S)
+    finger.now_s = RESTART_S
+    seen = [resuming.process(finger.draw(17.0)) for _ in range(MATCHES_AFTER)]
+    assert resuming.stored_reference_state == "matches"
+    assert seen[-1].rotation_deg == pytest.approx(17.0, abs=0.5)
+
+
+@pytest.mark.parametrize("other", [ball, plate, gear])
+def test_another_object_gets_a_new_reference_and_continues_from_the_last_rotation(other: Surface) -> None:
+    finger = resumed(before(14.0), other)
+    seen = [finger.see(0.0) for _ in range(DIFFERS_AFTER)]
+    assert {one.rotation_deg for one in seen} == {None}
+    assert {one.declined for one in seen[:-1]} == {WAITING}
+    assert finger.resuming.stored_reference_state == "differs"
+    finger.surface = lettered
+    finger.rest(6, 40.0)
+    for rotation_deg in (42.0, 44.0, 47.0):
+        last = finger.see(rotation_deg)
+    assert last.rotation_deg == pytest.approx(14.0 + 7.0, abs=0.5)
+    assert finger.resuming.earlier_rotation_deg == pytest.approx(14.0, abs=0.5)
+
+
+@pytest.mark.parametrize("surface", [gear, nut])
+def test_a_periodic_object_is_never_reported_a_period_off(surface: Surface) -> None:
+    finger = resumed(before(14.0, surface), surface, surface)
+    waiting = [finger.see(50.0) for _ in range(DIFFERS_AFTER)]
+    assert {one.rotation_deg for one in waiting} == {None}
+    assert finger.resuming.stored_reference_state == "differs"
 
 
 def test_the_rotation_before_the_stored_reference_is_added() -> None:
-    known = before("key", 14.0)
-    pipe = pipeline()
-    pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
-    estimates = run(pipe, "key", [16.0] * 6, start=600)
-    assert estimates[-1].rotation_deg == pytest.approx(5.0 + 16.0, abs=1.0)
-    assert pipe.earlier_rotation_deg == 5.0
-    pipe.resume(StoredReference(known.image, known.rotation_deg, 5.0), 10.0)
-    run(pipe, "disc", [0.0] * DIFFERS_AFTER, start=700)
-    assert pipe.earlier_rotation_deg == pytest.approx(5.0 + 14.0, abs=1.0)
+    stored = before(14.0)
+    stored = StoredReference(stored.image, stored.rotation_deg, 5.0)
+    finger = resumed(stored)
+    assert finger.rest(4, 16.0).rotation_deg == pytest.approx(5.0 + 16.0, abs=0.5)
+    assert finger.resuming.earlier_rotation_deg == 5.0
+    finger = resumed(stored, ball)
+    finger.rest(DIFFERS_AFTER)
+    assert finger.resuming.earlier_rotation_deg == pytest.approx(5.0 + 14.0, abs=0.5)
 
 
 def test_a_reset_reference_starts_at_zero() -> None:
-    pipe = pipeline()
-    pipe.resume(before("key", 14.0), 10.0)
-    pipe.reset_reference()
-    assert pipe.stored_reference_state is None
-    last = run(pipe, "key", [30.0] * 8, start=600)[-1]
-    assert last.rotation_deg == pytest.approx(0.0, abs=0.5)
+    finger = resumed(before(14.0))
+    finger.resuming.reset_reference()
+    assert finger.resuming.stored_reference_state is None
+    assert finger.rest(6, 30.0).rotation_deg == pytest.approx(0.0, abs=0.2)
 
 
 def test_without_contact_nothing_is_decided() -> None:
-    pipe = pipeline()
-    pipe.resume(before("key", 14.0), 10.0)
-    for k in range(2 * DIFFERS_AFTER):
-        assert pipe.process(frame(None, 600 + k)).declined == "no contact"
-    assert pipe.stored_reference_state == "waiting"
+    finger = resumed(before(14.0), None)
+    assert {finger.see(0.0).declined for _ in range(2 * DIFFERS_AFTER)} == {DeclineReason.NO_CONTACT}
+    assert finger.resuming.stored_reference_state == "waiting"
 
 
 def test_a_stored_image_without_contact_does_not_match() -> None:
-    pipe = pipeline()
-    pipe.resume(StoredReference(frame(None, 1).image, 14.0), 10.0)
-    assert pipe.stored_reference_state == "differs"
-    last = run(pipe, "key", [30.0] * 8, start=600)[-1]
-    assert last.rotation_deg == pytest.approx(14.0, abs=0.5)
+    finger = resumed(StoredReference(DrawnFinger(None).draw(0.0).image, 14.0), None, None)
+    assert finger.resuming.stored_reference_state == "differs"
+    finger.surface = lettered
+    assert finger.rest(6, 30.0).rotation_deg == pytest.approx(14.0, abs=0.2)
 
 
-def test_a_stored_image_that_is_no_gel_image_is_rejected() -> None:
+def test_a_stored_image_that_is_no_gel_image_is_an_error() -> None:
     with pytest.raises(FrameCorrupt):
-        pipeline().resume(StoredReference(np.zeros((10, 10, 3), np.uint8), 0.0), 10.0)
+        resumed(StoredReference(np.zeros((10, 10, 3), np.uint8), 0.0))
