@@ -53,7 +53,9 @@ LEAD_SIGMAS, LEAD_MAX_DEG = 1.5, 12.0
 """A lead counts as far as it exceeds this many standard deviations of the blocks; a soft gel twists 9 to 17 degrees
 before it slips (see `slipguard.sim.gel_effects`)."""
 
-GHOST_SIGMA_MIN = 0.01
+GHOST_MODEL = 0.015
+"""Share of the reference that other causes than memory leave of it in place: a ghost of which little is visible beside
+the motion is as uncertain as that."""
 GHOST_VISIBLE_MIN = 1e-4
 """Part of the unmoved reference's square that no motion explains, below which a ghost looks like motion."""
 GHOST_SHOWN_MIN = 0.01
@@ -284,5 +286,5 @@ def find_ghost(products: NDArray[np.float64], mass: float) -> Ghost:
         return Ghost(0.0, math.inf, pull_deg)
     found = float(products[_DIFFERENCE, _UNMOVED] - explained @ products[_MOTION, _DIFFERENCE])
     left2 = max(float(products[_DIFFERENCE, _DIFFERENCE]) - found**2 / square, 0.0) / max(mass, 1e-9)
-    sigma = max(math.sqrt(CORRELATED * left2 / square), GHOST_SIGMA_MIN)
+    sigma = math.sqrt((CORRELATED * left2 + GHOST_MODEL**2 * whole) / square)
     return Ghost(found / square, sigma, pull_deg, square > GHOST_SHOWN_MIN * whole)

@@ -57,17 +57,13 @@ class RotationFilter:
         self._known_at_s = -math.inf
         self._unexpected_deg = 0.0
         self._unseen = False
-        self._others: list[tuple[float, float]] = []
+        self.others_deg: list[float] = []
+        """The other hypotheses, from the most probable one."""
 
     @property
     def last_deg(self) -> float:
         """The last known rotation, of several hypotheses the most probable; 0 before the reference."""
         return self._last[1]
-
-    @property
-    def others_deg(self) -> list[float]:
-        """The other hypotheses, from the most probable one."""
-        return [away_deg for away_deg, _ in self._others]
 
     def start(self, now_s: float, rotation_deg: float = 0.0, unseen: bool = False) -> None:
         """Set the rotation at `now_s`. unseen: the object has been held unseen since then."""
@@ -77,7 +73,7 @@ class RotationFilter:
         self._known_at_s = now_s
         self._unexpected_deg = 0.0
         self._unseen = unseen
-        self._others = []
+        self.others_deg = []
 
     def predicted_deg(self, now_s: float) -> float:
         """Return the rotation at `now_s` for the rate between the last two frames."""
@@ -115,15 +111,15 @@ class RotationFilter:
         best, *rest = sorted(found, key=lambda one: -(prior[one] + one.log_likelihood))
         away_deg = best.rotation_deg - self.predicted_deg(now_s)
         limit_deg = self.reach_deg(now_s) + JUMP_DEG
-        if not self._others and abs(away_deg) > limit_deg:
+        if not self.others_deg and abs(away_deg) > limit_deg:
             detail = f"{away_deg:+.0f} deg from the expected rotation, limit {limit_deg:.0f} deg"
             return RotationEstimate(None, None, explain(DeclineReason.JUMP, detail))
         highest = prior[best] + best.log_likelihood
         odds = sum(math.exp(prior[one] + one.log_likelihood - highest) for one in rest)
         ambiguous = odds > SECOND_MAX * (1.0 + odds)
-        if self._others and abs(away_deg) > limit_deg:  # another hypothesis than the most probable one until now
+        if self._unseen or (self.others_deg and abs(away_deg) > limit_deg):  # it did not come from the last one
             self._history.clear()
-        self._others = [(one.rotation_deg - best.rotation_deg, prior[one] - prior[best]) for one in rest if ambiguous]
+        self.others_deg = [one.rotation_deg - best.rotation_deg for one in rest if ambiguous]
         self._unseen = False
         self._unexpected_deg = abs(away_deg) if abs(away_deg) <= limit_deg else 0.0
         self._last = (now_s, best.rotation_deg)
@@ -160,9 +156,8 @@ class RotationFilter:
     def _log_prior(self, now_s: float, rotation_deg: float) -> float:
         """Return the log probability of a rotation at `now_s` by the motion alone, up to a constant."""
         away_deg = rotation_deg - self.predicted_deg(now_s)
-        if self._others:
-            near = min(((0.0, 0.0), *self._others), key=lambda one: abs(away_deg - one[0]))
-            return near[1]
+        if self.others_deg:  # unknown by a rotation that the texture cannot tell: only the images can decide
+            return 0.0
         if self._unseen:
             return -0.5 * (away_deg / UNSEEN_DEG) ** 2
         return -0.5 * (away_deg / (self.reach_deg(now_s) / REACH_SIGMAS + FREE_DEG)) ** 2

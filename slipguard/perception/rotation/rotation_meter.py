@@ -124,7 +124,8 @@ class RotationMeter:
         ):
             return None
         reference.prepare()  # this frame takes little time
-        return self._checked(reference, found.rotation, reference.shift.follow(now_s, found))
+        measured = self._checked(reference, found.rotation, reference.shift.follow(now_s, found))
+        return self._choice.with_carried(measured)
 
     def take_reference(
         self,

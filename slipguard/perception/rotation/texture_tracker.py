@@ -25,10 +25,11 @@ from slipguard.perception.rotation.texture_template import TextureTemplate
 CAPTURE_DEG = 12.0
 """A registration finds rotations this far from its start. If the object may be further, all rotations are searched."""
 SEARCH_S = 0.06
-"""After a search that found nothing, the next one follows this much later: it takes longer than all other work of a
-frame."""
+"""After a search that found nothing, or little, the next one follows this much later: it takes longer than all other
+work of a frame."""
 FOUND_ALIKE = 0.7
-"""Smallest correlation of a texture that is found by a search: another object's may correlate by chance."""
+"""Smallest correlation of a texture that is found by a search: another object's may correlate by chance. With a smaller
+one near the expected rotation, it may also be elsewhere: it is searched."""
 MEMORY_ALIKE = 0.85
 """The gel's memory is estimated only while the texture's correlation with the reference is above this."""
 
@@ -77,17 +78,23 @@ class TextureTracker:
             best = register(self._template, texture_map, start)
             self._pose = best.pose if best.alike > MEMORY_ALIKE else TexturePose(start.rotation_deg)
             return self._tracked(RotationEstimate(None, None, best.declined), best)
-        searches = self._rotations.reach_deg(now_s) > CAPTURE_DEG
+        searched_s, last = self._searched
+        pausing = 0.0 <= now_s - searched_s < SEARCH_S
+        lost = self._rotations.reach_deg(now_s) > CAPTURE_DEG
+        if lost and pausing and last is not None:
+            return last
+        found = self._near(texture_map, start)
+        searches = (lost or max(one.alike for one in found) < FOUND_ALIKE) and not (pausing and not lost)
         if searches:
-            searched_s, last = self._searched
-            if last is not None and 0.0 <= now_s - searched_s < SEARCH_S:
-                return last
-        found = self._found(texture_map, start, center_px, now_s, searches)
+            self._search(found, texture_map, start, center_px, now_s)
+        found = [one for one in found if one.declined is None] or found
         best = max(found, key=lambda one: one.alike)
         declined = best.declined or (self._by_chance(best, start, now_s) if searches else None)
         if declined is None:
-            hypotheses = {Hypothesis(one.pose.rotation_deg, _log_likelihood(one)): one for one in found}
-            rotation = self._rotations.update(now_s, list(hypotheses))
+            self._add_similar(found, texture_map, best, now_s)
+            rotation = self._rotations.update(
+                now_s, [Hypothesis(one.pose.rotation_deg, _log_likelihood(one)) for one in found]
+            )
             if rotation.declined is None or self._rotations.others_deg:
                 last_deg = self._rotations.last_deg
                 best = next(one for one in found if one.pose.rotation_deg == last_deg)
@@ -95,38 +102,47 @@ class TextureTracker:
         else:
             rotation = RotationEstimate(None, None, declined)
         tracked = self._tracked(rotation, best)
-        self._searched = (now_s, tracked) if searches and rotation.declined else (-math.inf, None)
+        if searches:
+            self._searched = now_s, tracked if rotation.declined else None
         return tracked
 
-    def _found(
+    def _near(self, texture_map: TextureMap, start: TexturePose) -> list[Registration]:
+        """Return the registrations from the expected rotation of every hypothesis, at least one."""
+        found: list[Registration] = []
+        for by_deg in (0.0, *self._rotations.others_deg):
+            one = replace(start, rotation_deg=start.rotation_deg + by_deg)
+            _add(found, register(self._template, texture_map, one))
+        return found
+
+    def _search(
         self,
+        found: list[Registration],
         texture_map: TextureMap,
         start: TexturePose,
         center_px: tuple[float, float],
         now_s: float,
-        searches: bool,
-    ) -> list[Registration]:
-        """Return the registrations from every credible start, those that are declined only if all are."""
-        rotations = self._rotations
-        starts = [start, *(replace(start, rotation_deg=start.rotation_deg + by) for by in rotations.others_deg)]
-        if searches:
-            moved = (
-                center_px[0] / REDUCTION - self._template.center_px[0],
-                center_px[1] / REDUCTION - self._template.center_px[1],
-            )
-            curve = correlation_curve(self._template, texture_map, moved)
-            likely = maxima_deg(curve, start.rotation_deg, rotations.reach_deg(now_s))[:STARTS_MAX]
-            starts += [TexturePose(one_deg, *moved) for one_deg in likely]
-        found: list[Registration] = []
-        for one in starts:
-            _add(found, register(self._template, texture_map, one))
-        if found[0].declined is None and not rotations.others_deg:
-            here_deg = found[0].pose.rotation_deg
-            for by_deg in self._similar_within_reach(now_s, here_deg)[:STARTS_MAX]:
-                _add(
-                    found, register(self._template, texture_map, replace(found[0].pose, rotation_deg=here_deg + by_deg))
-                )
-        return [one for one in found if one.declined is None] or found
+    ) -> None:
+        """Add the registrations from the rotations at which the texture correlates best, within reach."""
+        x, y = self._template.center_px
+        moved = center_px[0] / REDUCTION - x, center_px[1] / REDUCTION - y
+        curve = correlation_curve(self._template, texture_map, moved)
+        reach_deg = max(self._rotations.reach_deg(now_s), CAPTURE_DEG)
+        for likely_deg in maxima_deg(curve, start.rotation_deg, reach_deg)[:STARTS_MAX]:
+            _add(found, register(self._template, texture_map, TexturePose(likely_deg, *moved)))
+
+    def _add_similar(
+        self, found: list[Registration], texture_map: TextureMap, best: Registration, now_s: float
+    ) -> None:
+        """Add the registrations at rotations that the texture cannot tell from the best one and the motion allows."""
+        rotations, here_deg = self._rotations, best.pose.rotation_deg
+        nearest = (-SIMILAR_APART_DEG, SIMILAR_APART_DEG)
+        if not any(rotations.credible(now_s, here_deg + by_deg, here_deg) for by_deg in nearest):
+            return
+        credible = [by_deg for by_deg in self.similar_deg if rotations.credible(now_s, here_deg + by_deg, here_deg)]
+        for by_deg in sorted(credible, key=abs)[:STARTS_MAX]:
+            similar = register(self._template, texture_map, replace(best.pose, rotation_deg=here_deg + by_deg))
+            if similar.declined is None:
+                _add(found, similar)
 
     def _by_chance(self, best: Registration, start: TexturePose, now_s: float) -> str | None:
         """Return why the best registration after a gap may be by chance; None if it is near the expected rotation."""
@@ -135,14 +151,6 @@ class TextureTracker:
             return None
         detail = f"texture correlates by {best.alike:.2f}, limit {FOUND_ALIKE:.2f} after a gap"
         return explain(DeclineReason.CONTACT_CHANGED, detail)
-
-    def _similar_within_reach(self, now_s: float, here_deg: float) -> list[float]:
-        """Return the rotations from `here_deg` that the texture cannot tell from it and the motion allows."""
-        nearest = (-SIMILAR_APART_DEG, SIMILAR_APART_DEG)
-        if not any(self._rotations.credible(now_s, here_deg + by_deg, here_deg) for by_deg in nearest):
-            return []
-        found = [by for by in self.similar_deg if self._rotations.credible(now_s, here_deg + by, here_deg)]
-        return sorted(found, key=abs)
 
     def _tracked(self, rotation: RotationEstimate, best: Registration) -> TrackedTexture:
         """Return a rotation with its sigma, corrected for the gel's memory, and the shift."""
