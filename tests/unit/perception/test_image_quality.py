@@ -217,9 +217,7 @@ def test_a_blurred_faint_contact_is_declined_and_makes_no_reference(number: int)
     assert not pipeline.has_reference
     sharp = [pipeline.process(Frame(one, (20 + k) / 60, 20 + k)) for k, one in enumerate(shown.frames)]
     assert pipeline.has_reference
-    last = sharp[-1]
-    if last.decline_reason != DeclineReason.GEL_CONTOUR:  # two of the three are smooth contacts
-        assert last.rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
+    assert sharp[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=3.0)
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 1.5, 3.0, 9.0, 15.0])
@@ -301,24 +299,6 @@ def test_a_contact_under_a_glare_or_a_dead_spot_is_declined(level: int) -> None:
     gate = ImageQuality(spotted)
     assert not fits(gate, block_means(spotted), near)
     assert fits(gate, block_means(spotted), away)
-
-
-def test_a_change_of_light_after_the_reference_increases_sigma() -> None:
-    shown = rotated_grasp(2)
-    slope = np.linspace(-9.0, 9.0, 320)[:, None, None]
-
-    def last(tilt: float) -> tuple[float, float]:
-        pipeline = Pipeline(Segmenter(), PerceptionSettings(), shown.background, None, 18.5)
-        for k, image in enumerate(shown.frames[:8]):
-            lit = image if k < 6 else np.clip(image + tilt * slope, 0, 255).astype(np.uint8)
-            last_estimate = pipeline.process(Frame(lit, k / 60, k))
-        assert last_estimate.rotation_deg is not None
-        assert last_estimate.sigma_deg is not None
-        return last_estimate.rotation_deg, last_estimate.sigma_deg
-
-    (_, steady), (rotated, tilted) = last(0.0), last(1.0)
-    assert tilted > steady + 0.5
-    assert abs(rotated - shown.rotations_deg[7]) < 3.0 * tilted
 
 
 def test_a_rotation_in_an_almost_dark_image_is_not_skipped() -> None:
