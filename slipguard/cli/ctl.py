@@ -144,6 +144,17 @@ def lower(
 
 
 @app.command()
+def stop(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
+    """Stop the arm at once and keep the grip, in every state. Nothing moves until the next request.
+
+    A held object stays guarded: when it slips, the grip is tightened. Closing jaws are halted; a release goes on.
+
+    Example: `slipguard ctl stop`
+    """
+    _submit(context, socket, json, "stop")
+
+
+@app.command()
 def guard(
     context: typer.Context,
     switch: Annotated[OnOff, typer.Argument(help="on: tighten when the object slips. off: only report.")],

@@ -43,6 +43,8 @@ def _two_columns() -> Table:
 def _grasp_rows(state: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     phase = str(state.get("phase"))
     notes = [f"mode {state.get('mode')}", _guard_text(state, phase)]
+    if state.get("stopped_by_request"):
+        notes.append("[yellow]stopped by request[/]")
     if state.get("slipping"):
         notes.append("[red]slipping[/]")
     yield "phase", f"[{'red' if phase == 'fault' else 'bold'}]{escape(phase)}[/] ({', '.join(notes)})"

@@ -87,6 +87,8 @@ def put_down(latched: Result, observation: Observation, params: GuardParams) -> 
     at_limit = state.fault is not None and state.fault.code in AT_LIMIT
     if not at_limit or params.on_force_limit != "lower" or params.mode != "lift" or state.person.now:
         return state, output
+    if state.stop is not None:
+        return state, output.with_messages(Text.NOT_PUT_DOWN_AFTER_STOP.message())
     arm, ground_mm = observation.arm, state.arm.ground_mm
     if arm is None or ground_mm is None:
         return state, output.with_messages(Text.NO_WAY_DOWN.message())

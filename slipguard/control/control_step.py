@@ -2,6 +2,7 @@
 
     observation -> follow the arm, supervise, watch the object: what is wrong now
                 -> release          granted at once, in every phase
+                -> stop             granted in every phase, on top of all that follows (stop.py)
                 -> fault            latched if an object is at stake
                 -> act              what the present phase does (phases.py, slip_response.py)
                 -> keep the force   repeat a force the gripper did not take
@@ -21,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from slipguard.control import force_limits
 from slipguard.control.arm_motion import REPEAT_S, Result, follow_start
 from slipguard.control.messages import (
+    NO_REQUEST,
     HaltJaws,
     HoldForce,
     Observation,
@@ -34,6 +36,7 @@ from slipguard.control.release import request_release
 from slipguard.control.reports import Fault, FaultCode, Text
 from slipguard.control.requests import handle_request
 from slipguard.control.state import AT_STAKE, FORCE_TOLERANCE_N, GraspState, PersonNear, Phase
+from slipguard.control.stop import follow_stop, request_stop
 from slipguard.control.supervisor import Supervision, supervise
 
 LOST_ALONE_TIMES = 3.0
@@ -75,6 +78,8 @@ def step(state: GraspState, observation: Observation, params: GuardParams) -> Re
     state = _follow_arm(state, observation)
     if observation.request.kind is RequestKind.RELEASE:
         return request_release(state, observation, params)
+    if observation.request.kind is RequestKind.STOP:
+        return request_stop(*step(state, replace(observation, request=NO_REQUEST), params), observation)
     state, lost = _watch_object(state, observation, params)
     watched = observation if lost is None else observation.with_fault(lost)
     at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and state.waits_for_gripper)
@@ -83,12 +88,12 @@ def step(state: GraspState, observation: Observation, params: GuardParams) -> Re
         state, output = latch(state, watched, watched.fault, StepOutput())
         if before in NOTED_IN:
             state, output = _grip_unseen(state, output, observation, params)
-        state, output = _halt_jaws(state, output, observation)
+        state, output = _halt(state, output, observation, params)
         return state, _refuse_request(watched.fault, output, observation)
     before = state.phase
     state, output = act(state, watched, params)
     state, output = _keep_force(state, output, observation)
-    state, output = _halt_jaws(state, output, observation)
+    state, output = _halt(state, output, observation, params)
     state, output = _report_notes(state, output, observation)
     if state.fault is not None and state.phase is Phase.FAULT and before is not Phase.FAULT:
         output = _refuse_request(state.fault, output, observation)
@@ -186,25 +191,33 @@ def _keep_force(state: GraspState, output: StepOutput, observation: Observation)
     return state.with_target(grip.target_n, now_s), replace(output, gripper=HoldForce(grip.target_n))
 
 
+def _halt(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
+    """Halt what moves against a requested stop, or while a person may be near."""
+    state, output = follow_stop(state, output, observation, params)
+    return _halt_jaws(state, output, observation)
+
+
 def _halt_jaws(state: GraspState, output: StepOutput, observation: Observation) -> Result:
-    """Halt moving jaws while a person may be near, again and again until they report that they rest.
+    """Halt moving jaws while a person may be near or after a stop, until they report that they rest.
 
     The grip is kept, and its force is commanded again after `clear`. A closing that was interrupted is not resumed: the
     jaws may have met a hand, so the grasp must be requested again. A release goes on.
     """
     gripper, commanded_s, person = observation.gripper, state.grip.commanded_s, state.person
     opening = state.hands_off.release_requested and commanded_s > -math.inf
-    if not person.now or opening or gripper is None:
+    stopped = state.stop is not None and state.stop.jaws
+    if not (person.now or stopped) or opening or gripper is None:
         return state, output
     if not (gripper.moving or gripper.measured_at_s <= commanded_s):
         return state, output
     if observation.now_s - person.halted_s < REPEAT_S:
         return state, output
-    first = person.halted_s == -math.inf
-    interrupted = state.phase in (Phase.CLOSING, Phase.FAULT) and state.adoption.done and not state.grip.closed
+    first = person.now and person.halted_s == -math.inf
+    without_grip = state.adoption.done and not state.grip.closed
+    interrupted = without_grip and (stopped or state.phase in (Phase.CLOSING, Phase.FAULT))
     hands_off = state.hands_off
     hands_off = replace(hands_off, closing_interrupted=hands_off.closing_interrupted or interrupted)
-    state = replace(state, person=PersonNear(True, observation.now_s), hands_off=hands_off)
+    state = replace(state, person=replace(person, halted_s=observation.now_s), hands_off=hands_off)
     return state, replace(output, gripper=HaltJaws()).with_messages(Text.JAWS_HALTED.message() if first else None)
 
 

@@ -47,6 +47,7 @@ class RequestKind(StrEnum):
     GUARD_OFF = "guard off"
     GRIPPER = "gripper"
     RELEASE = "release"
+    STOP = "stop"
     CLEAR = "clear"
     ACTIVATE = "activate"
 

@@ -58,7 +58,14 @@ class Text(Enum):
     PUTTING_DOWN = "putting the object down by {height_mm:.0f} mm"
     PUT_DOWN = "put down where the lift began; `release` opens the jaws"
     PUT_DOWN_STOPPED = "putting down stopped"
+    NOT_PUT_DOWN_AFTER_STOP = "not put down: stopped by request"
     NO_WAY_DOWN = "not put down: the height where the lift began is unknown"
+    STOPPED = "stopped by request"
+    STOPPED_CLOSING = (
+        STOPPED + "; the closing was interrupted: with no hand near the jaws, grasp again; or support what is between "
+        "them, then release"
+    )
+    STOPPED_RELEASING = STOPPED + "; the jaws open all the same, as requested before"
     JAWS_HALTED = "a person may be near: the moving jaws are halted"
     # release
     RELEASING = "releasing, as requested"

@@ -1,6 +1,6 @@
 """Grant or refuse what people and other programs request, by phase. A refusal is one message with the reason.
 
-Release is not here: it is granted in every phase, before anything else.
+Release and stop are not here: they are granted in every phase.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _start(
     state = state.entered(phase, observation.now_s)
     speed_mm_s = observation.request.speed_mm_s
     motion = replace(state.arm, goal_mm=goal_mm, speed_mm_s=speed_mm_s, commanded_s=observation.now_s)
-    state = replace(state, arm=motion)
+    state = replace(state, arm=motion, stop=None)
     leg = arm_motion.next_leg(state, arm.height_mm, params)
     return state, replace(output, arm=leg).with_messages(message)
 
@@ -179,7 +179,7 @@ def _guard_in_fault(state: GraspState, output: StepOutput, gripper: GripperState
     grip = replace(state.grip, target_n=target_n, commanded_s=-math.inf, closed=True)
     held = replace(state.held, memory=SlipMemory())
     message = Text.GUARDING_HELD.message(force=force_text(gripper, gripper.force_n))
-    state = replace(state, grip=grip, held=held, hands_off=HandsOff())
+    state = replace(state, grip=grip, held=held).with_jaws_requested()
     return state, replace(output, new_reference=True).with_messages(message)
 
 
@@ -212,7 +212,9 @@ def _gripper(state: GraspState, output: StepOutput, observation: Observation, pa
         opens = request.width_mm >= gripper.width_mm
         text = Text.MOVING_JAWS if opens or guarded else Text.MOVING_JAWS_UNGUARDED
         output = replace(output, gripper=MoveJaws(request.width_mm, force_n))
-        return state, output.with_messages(text.message(width_mm=request.width_mm, force_n=force_n))
+        return state.with_jaws_requested(), output.with_messages(
+            text.message(width_mm=request.width_mm, force_n=force_n)
+        )
     if state.phase in (Phase.CLOSING, Phase.RELEASED, Phase.FAULT):
         busy = Text.NOT_IN_PHASE.message(verb="move the jaws", phase=state.phase, hint="wait, or release")
         return _refuse(state, output, _latched(state) or busy)
@@ -222,7 +224,7 @@ def _gripper(state: GraspState, output: StepOutput, observation: Observation, pa
     output = replace(output, gripper=HoldForce(target_n))
     if state.phase is Phase.IDLE:
         text = Text.HOLDING_AS_REQUESTED if guarded else Text.HOLDING_UNGUARDED
-        return state, output.with_messages(text.message(force_n=target_n))
+        return state.with_jaws_requested(), output.with_messages(text.message(force_n=target_n))
     message = Text.HOLDING_AS_REQUESTED.message(force_n=target_n)
     return state.with_target(target_n, observation.now_s), output.with_messages(message)
 

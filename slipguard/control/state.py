@@ -173,6 +173,19 @@ class Release:
 
 
 @dataclass(frozen=True, slots=True)
+class RequestedStop:
+    """A stop on request, until the arm's next motion on request.
+
+    Args:
+        jaws: they had no grip yet, so they are halted whenever they move, until their next motion on request.
+        arm_stood: the arm has stood since.
+    """
+
+    jaws: bool = False
+    arm_stood: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class HandsOff:
     """Why the jaws' content is neither guarded nor tightened until a person requests it.
 
@@ -279,6 +292,7 @@ class GraspState:
     held: HeldObject = field(default_factory=HeldObject)
     arm: ArmMotion = field(default_factory=ArmMotion)
     release: Release | None = None
+    stop: RequestedStop | None = None
     hands_off: HandsOff = field(default_factory=HandsOff)
     person: PersonNear = field(default_factory=PersonNear)
     adoption: Adoption = field(default_factory=Adoption)
@@ -317,6 +331,11 @@ class GraspState:
             limit_n = before.limit_n
         arm = ArmMotion(start_mm=before.lift_start_mm) if before is not None and same else ArmMotion()
         return replace(self.emptied(Phase.REFERENCE, now_s), grip=Grip(force_n, closed=True, limit_n=limit_n), arm=arm)
+
+    def with_jaws_requested(self) -> GraspState:
+        """Return the state after a person or another program has requested what the jaws do."""
+        stop = None if self.stop is None else replace(self.stop, jaws=False)
+        return replace(self, stop=stop, hands_off=HandsOff())
 
     def with_target(self, force_n: float, now_s: float) -> GraspState:
         """Return the state after this force was commanded."""

@@ -81,6 +81,7 @@ class StateResponse(ApiResponse):
     mode: Literal["lift", "guard"]
     guarding: bool
     slipping: bool
+    stopped_by_request: bool
     target_force_n: float
     fault: FaultState | None
     rotation: dict[str, Any] | None

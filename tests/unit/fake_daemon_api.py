@@ -48,6 +48,7 @@ class FakeDaemonApi(DaemonApi):
             "mode": "lift",
             "guarding": True,
             "slipping": False,
+            "stopped_by_request": False,
             "target_force_n": 40.0,
             "fault": None,
             "rotation": {"rotation_deg": 1.5, "sigma_deg": 0.25},

@@ -48,6 +48,16 @@ class LiftRequest(DaemonRequest):
     speed_mm_s: Speed | None = None
 
 
+class StopRequest(DaemonRequest):
+    """Stop the arm at once and keep the grip, in every state and before all other requests.
+
+    Requests that still wait are refused, but for a release. A held object stays guarded; nothing else moves until the
+    next request.
+    """
+
+    kind = "stop"
+
+
 class LowerRequest(DaemonRequest):
     """Lower the held object, by default by the height it was lifted."""
 
@@ -140,6 +150,7 @@ REQUESTS: dict[str, type[DaemonRequest]] = {
         GraspRequest,
         LiftRequest,
         LowerRequest,
+        StopRequest,
         GuardRequest,
         MoveJawsRequest,
         ReleaseRequest,

@@ -31,6 +31,7 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition]) -> dict[str, ob
         "guarding": state.guarding,
         "slipping": state.held.slip is not None,
         "putting_down": state.arm.putting_down,
+        "stopped_by_request": state.stop is not None,
         "target_force_n": state.grip.target_n,
         "limits": {
             "first_force_n": guard.first_force_n,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections import deque
 
-from slipguard.control.messages import ControlRequest
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.errors import CommandRefused
 
 REQUEST_TIMEOUT_S = 2.0
+NOT_STOPPED = (RequestKind.STOP, RequestKind.RELEASE)
+"""A stop takes back no other stop, and no release: jaws that were to open free a hand."""
 
 
 class PendingRequest:
@@ -32,10 +35,13 @@ class PendingRequest:
 
 
 class RequestQueue:
-    """Requests in the order of their arrival. What was reported as failed is never executed."""
+    """Requests in the order of their arrival. What was reported as failed is never executed.
+
+    A stop comes first, and refuses what waits: after it, nothing moves until the next request.
+    """
 
     def __init__(self) -> None:
-        self._pending: asyncio.Queue[PendingRequest] = asyncio.Queue()
+        self._pending: deque[PendingRequest] = deque()
 
     async def submit(self, request: ControlRequest, wake: asyncio.Event, deadline_s: float) -> str:
         """Add a request, wake the loop and return the response.
@@ -48,7 +54,11 @@ class RequestQueue:
         if now_s >= deadline_s:
             raise CommandRefused(f"{request.kind}: took too long to prepare and was not executed; send it again")
         pending = PendingRequest(request, min(deadline_s, now_s + REQUEST_TIMEOUT_S))
-        self._pending.put_nowait(pending)
+        if request.kind is RequestKind.STOP:
+            self._refuse("a stop was requested after it; not executed", kept=NOT_STOPPED)
+            self._pending.appendleft(pending)
+        else:
+            self._pending.append(pending)
         wake.set()
         # Not `asyncio.timeout`: it could report a request as failed that a cycle has just executed.
         timer = loop.call_at(pending.deadline_s, pending.refuse, _too_late(pending))
@@ -59,8 +69,8 @@ class RequestQueue:
 
     def next(self, now_s: float) -> PendingRequest | None:
         """Return the oldest request whose caller still waits and whose deadline has not passed; refuse the others."""
-        while not self._pending.empty():
-            pending = self._pending.get_nowait()
+        while self._pending:
+            pending = self._pending.popleft()
             if now_s >= pending.deadline_s:
                 pending.refuse(_too_late(pending))
             if not pending.response.done():
@@ -69,8 +79,11 @@ class RequestQueue:
 
     def refuse_all(self, reason: str) -> None:
         """Refuse every waiting request."""
-        while not self._pending.empty():
-            pending = self._pending.get_nowait()
+        self._refuse(reason)
+
+    def _refuse(self, reason: str, kept: tuple[RequestKind, ...] = ()) -> None:
+        for pending in [one for one in self._pending if one.request.kind not in kept]:
+            self._pending.remove(pending)
             pending.refuse(f"{pending.request.kind}: {reason}")
 
 

@@ -211,7 +211,7 @@ def test_a_group_without_a_command_shows_its_help(group: str, capfd: pytest.Capt
 
 @pytest.mark.parametrize(
     "command",
-    ["state", "grasp", "lift", "lower", "guard on", "release --yes", "clear", "gripper --width-mm 60", "calibrate"],
+    ["state", "grasp", "lift", "stop", "guard on", "release --yes", "clear", "gripper --width-mm 60", "calibrate"],
 )
 def test_ctl_without_a_daemon_says_how_to_start_one(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     ran = slipguard(capfd, "ctl", *command.split())

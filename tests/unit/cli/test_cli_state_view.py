@@ -111,6 +111,7 @@ CHANGES: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no rotation": ({"rotation": None}, "no fresh frames from either finger"),
     "contradiction": ({"rotation": ROTATION | {"conflict": "left +3°, right -4°"}}, "left +3°, right -4°"),
+    "stopped": ({"phase": "holding", "stopped_by_request": True}, "guarding, stopped by request, slipping"),
     "not guarding": ({"guarding": False}, "not guarding"),
     "held and idle": (
         {"phase": "idle", "target_force_n": 0.0, "slipping": False},

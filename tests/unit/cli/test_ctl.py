@@ -27,6 +27,7 @@ from slipguard.daemon.api.requests import (
     LowerRequest,
     MoveJawsRequest,
     ReleaseRequest,
+    StopRequest,
 )
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
@@ -50,6 +51,7 @@ COMMANDS: list[tuple[list[str], DaemonRequest]] = [
     (["grasp", "--force-n", "30"], GraspRequest(force_n=30)),
     (["lift", "--height-mm", "120", "--speed-mm-s", "20"], LiftRequest(height_mm=120, speed_mm_s=20)),
     (["lower"], LowerRequest()),
+    (["stop"], StopRequest()),
     (["guard", "on"], GuardRequest(on=True)),
     (["guard", "off"], GuardRequest(on=False)),
     (["gripper", "--width-mm", "60"], MoveJawsRequest(width_mm=60)),
@@ -131,7 +133,10 @@ def test_misuse_is_exit_code_2(words: list[str]) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["state", "grasp", "lift", "lower", "guard", "gripper", "release", "activate", "fingertips", "clear", "calibrate"],
+    [
+        *("state", "grasp", "lift", "lower", "stop", "guard", "gripper", "release", "activate", "fingertips", "clear"),
+        "calibrate",
+    ],
 )
 def test_help_has_an_example(command: str) -> None:
     output = CliRunner().invoke(app, [command, "--help"]).output

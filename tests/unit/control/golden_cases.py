@@ -106,6 +106,7 @@ REQUESTS: dict[str, ControlRequest] = {
     "jaws 200 N": ask(RequestKind.GRIPPER, force_n=200.0),
     "release": ask(RequestKind.RELEASE),
     "release 70": ask(RequestKind.RELEASE, width_mm=70.0),
+    "stop": ask(RequestKind.STOP),
     "clear": ask(RequestKind.CLEAR),
     "activate": ask(RequestKind.ACTIVATE),
 }
@@ -202,6 +203,7 @@ def _entered(before: GraspState, after: GraspState) -> Iterator[str]:
         "lost?": lambda state: state.held.lost_since_s is not None,
         "person near": lambda state: state.person.now,
         "release requested": lambda state: state.hands_off.release_requested,
+        "stopped": lambda state: state.stop is not None,
         "closing interrupted": lambda state: state.hands_off.closing_interrupted,
     }
     for name, holds in conditions.items():

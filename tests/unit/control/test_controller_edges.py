@@ -67,7 +67,8 @@ def test_a_grasp_is_refused_with_a_reason(jaws: GripperState | None, says: str) 
     assert state.phase is Phase.IDLE
 
 
-REQUESTS = [kind for kind in RequestKind if kind not in (RequestKind.NONE, RequestKind.RELEASE)]
+ALWAYS_GRANTED = (RequestKind.RELEASE, RequestKind.STOP)
+REQUESTS = [kind for kind in RequestKind if kind not in (RequestKind.NONE, *ALWAYS_GRANTED)]
 
 
 @pytest.mark.parametrize("kind", REQUESTS)

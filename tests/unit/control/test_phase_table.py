@@ -39,6 +39,7 @@ EVENTS: dict[str, dict[str, object]] = {
     "jaws open": {"request": ask(RequestKind.GRIPPER, width_mm=80.0)},
     "jaws tighter": {"request": ask(RequestKind.GRIPPER, force_n=60.0)},
     "release": {"request": ask(RequestKind.RELEASE)},
+    "stop": {"request": ask(RequestKind.STOP)},
     "clear": {"request": ask(RequestKind.CLEAR)},
     "activate": {"request": ask(RequestKind.ACTIVATE)},
     "rotation": {"fused": SLIP},
@@ -61,6 +62,7 @@ guard off      | -             | -             | -             | -
 jaws open      | move          | refused       | refused       | refused
 jaws tighter   | refused       | refused       | hold          | hold
 release        | released open | released open | released open | released stop
+stop           | halt stop     | idle halt stop | stop          | holding stop
 clear          | refused       | refused       | refused       | refused
 activate       | refused       | refused       | refused       | refused
 rotation       | -             | -             | holding       | hold stop
@@ -82,6 +84,7 @@ guard off      | -             | -             | -        | refused
 jaws open      | refused       | refused       | refused  | refused
 jaws tighter   | hold          | hold          | refused  | refused
 release        | released open | released stop | open     | released open
+stop           | stop          | holding stop  | stop     | stop
 clear          | refused       | refused       | refused  | reference reference
 activate       | refused       | refused       | refused  | refused
 rotation       | hold stop     | hold stop     | -        | hold

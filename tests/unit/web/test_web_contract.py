@@ -33,6 +33,7 @@ async def test_every_route_matches_its_description(tmp_path: Path, pytestconfig:
         "grasp",
         "lift",
         "lower",
+        "stop",
         "guard",
         "gripper",
         "release",
