@@ -207,7 +207,10 @@ class Arm(Protocol):
 
     @abstractmethod
     async def stop(self) -> None:
-        """Stop the motion; in guard mode, pause the program that moves the arm. Safe to call at any time."""
+        """Stop the motion; in guard mode, pause the program that moves the arm.
+
+        Safe to call at any time, also while `lift` has not returned; it is called again afterwards.
+        """
 
     @abstractmethod
     async def close(self) -> None:

@@ -115,6 +115,15 @@ async def test_stop_ends_a_motion_and_may_be_called_at_any_time(rig: ArmRig, arm
     assert (await first_value(arm.state)).height_mm == pytest.approx(stopped.height_mm, abs=0.1)
 
 
+async def test_stop_may_be_called_while_a_lift_is_being_commanded(rig: ArmRig, arm: Arm) -> None:
+    await arm.lift(rig.far_mm, 150.0)
+    lifted, stopped = await asyncio.gather(arm.lift(rig.far_mm, 150.0), arm.stop(), return_exceptions=True)
+    assert stopped is None
+    assert isinstance(lifted, float | CommandRefused)
+    await arm.stop()
+    assert (await eventually(arm.state, at_rest)).height_mm < rig.far_mm / 4
+
+
 async def test_close_stops_the_arm(rig: ArmRig, arm: Arm) -> None:
     await arm.lift(rig.far_mm, 150.0)
     await eventually(arm.state, lambda state: state.moving)

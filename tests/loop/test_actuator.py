@@ -87,6 +87,24 @@ def test_a_newer_command_replaces_one_not_yet_begun() -> None:
     assert drive(scenario).done == ["slow", "new"]
 
 
+def test_a_stop_does_not_wait_for_a_command_that_is_carried_out() -> None:
+    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
+        await asyncio.sleep(0.1)
+
+        async def slow() -> None:
+            await asyncio.sleep(0.5)
+            motor.done.append("slow")
+
+        actuator.command(slow)
+        await asyncio.sleep(0.01)
+        actuator.command(motor.stop)
+        await asyncio.sleep(0.01)
+        assert motor.done == ["stop"]
+        await asyncio.sleep(0.6)
+
+    assert drive(scenario).done == ["stop", "slow", "stop"], "the command may have begun a motion after the stop"
+
+
 def test_an_urgent_command_is_replaced_by_urgent_ones_only() -> None:
     async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
         await asyncio.sleep(0.1)

@@ -36,7 +36,8 @@ class Actuator(Generic[S]):
     A command is a coroutine function. A newer command replaces one that has not begun (an urgent one only if the newer
     one is urgent too); a command that has begun runs to its end. A failed command is not repeated, and a command given
     while the device is gone is dropped: the controller sees the state and commands again. The exception is the device's
-    own `stop`, which is tried even then, because it may need less than the whole device. Its error is reported once.
+    own `stop`: it does not wait for the command that is carried out, and it is tried even while the device is gone,
+    because it may need less than the whole device. Its error is reported once.
     After an unexpected exception of the driver the device is closed and tried again, too.
 
     Args:
@@ -72,6 +73,7 @@ class Actuator(Generic[S]):
         self._urgent = False
         """Only an urgent command may replace the waiting one."""
         self._executing = False
+        self._stopping: set[asyncio.Task[None]] = set()
         self._wake = asyncio.Event()
         self._reported: str | None = None
         self._on_change = on_change
@@ -86,6 +88,10 @@ class Actuator(Generic[S]):
         self._urgent = urgent
         self._commands.put(action)
         self._wake.set()
+        if self._executing and self._is_stop(action):  # and once more after that command
+            stopping = asyncio.create_task(self._try_stop(action), name=f"{self.name}: stop")
+            self._stopping.add(stopping)
+            stopping.add_done_callback(self._stopping.discard)
 
     @property
     def commanding(self) -> bool:
@@ -119,6 +125,9 @@ class Actuator(Generic[S]):
                     await close_contained(self._device, self.health)
                     await self._wait_to_retry()
         finally:
+            for stopping in self._stopping:
+                stopping.cancel()
+            await asyncio.gather(*self._stopping, return_exceptions=True)
             await close_contained(self._device, self.health)
 
     def _is_stop(self, action: Action | None) -> TypeGuard[Action]:
