@@ -146,12 +146,12 @@ async def test_all_controls_work_by_keyboard(running: DaemonProcess, open_page) 
     page = await open_page()
     keyboard, focus = page.keyboard, page.locator(":focus")
     seen = []
-    for _ in range(9):
+    for _ in range(10):
         await keyboard.press("Tab")
         seen.append(await focus.evaluate("one => one.id || one.textContent"))
         ring = await focus.evaluate("one => parseFloat(getComputedStyle(one).outlineWidth)")
         assert ring >= 2.0, f"{seen[-1]}: no visible focus"
-    names = ["grasp", "lift", "lower", "guard", "clear", "calibrate", "release"]
+    names = ["stop", "grasp", "lift", "lower", "guard", "clear", "calibrate", "release"]
     assert seen == ["Skip to commands", *(f"do-{name}" for name in names), "overlay"]
     at_mm = running.state()["arm"]["height_mm"]
     await page.focus("#do-lift")

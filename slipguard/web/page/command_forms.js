@@ -124,7 +124,7 @@ export async function send(name, path, body) {
       method: "POST",
       headers: { "content-type": "application/json", ...sessionHeaders() },
       body: JSON.stringify(body),
-      signal: AbortSignal.timeout(COMMANDS[name].timeout_ms ?? TIMEOUT_MS),
+      signal: AbortSignal.timeout(COMMANDS[name]?.timeout_ms ?? TIMEOUT_MS),
     });
     const content = await response.json().catch(() => ({}));
     if (response.ok) return { ok: true, text: content.message ?? "done" };

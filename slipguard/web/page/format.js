@@ -46,7 +46,7 @@ export function headline(state) {
     return { word: `Fault: ${code}`, detail: faultDetail(state), tone: "fault" };
   }
   const [word, tone] = PHASES[state.phase] ?? [state.phase, "idle"];
-  const notes = [];
+  const notes = state.stopped_by_request ? ["stopped by request"] : [];
   if (state.slipping) notes.push(gripper ? `tightening, ${plain(gripper.force_n)} N now` : "tightening");
   if (state.phase === "idle") notes.push(gripper && gripper.holding ? "an object is held, not guarded" : "nothing is held");
   if (state.phase === "reference") notes.push("taking the reference");

@@ -9,6 +9,7 @@ import { History } from "./history.js";
 import { FingerImages } from "./images.js";
 import { LiveStream } from "./live.js";
 import { sessionHeaders } from "./session.js";
+import { Stop } from "./stop.js";
 
 const DETAILS_PERIOD_MS = 250; // figures that change faster cannot be read
 const LONG_HEADLINE = 13; // characters; longer ones are set in smaller type
@@ -25,6 +26,7 @@ const history = new History();
 const events = new Events();
 const graphs = new Graphs();
 const commands = new Commands(fetchAccess);
+const stop = new Stop(commands);
 const images = new FingerImages(() => view.live);
 
 new LiveStream({
@@ -131,6 +133,7 @@ function showAccess() {
   pill.hidden = false;
   setText(pill, view.control ? "may command" : "read only");
   byId("login").hidden = view.control;
+  stop.show(view.control);
   setText(byId("login-title"), hadControl() ? ACCESS_EXPIRED : "This page is read-only");
 }
 
