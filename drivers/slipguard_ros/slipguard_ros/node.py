@@ -15,7 +15,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rclpy._rclpy_pybind11 import RCLError  # public under no other name
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleState, Node, TransitionCallbackReturn
 from rclpy.qos import qos_profile_sensor_data
@@ -37,6 +37,7 @@ SERVICES: dict[str, dict[str, Any]] = {
     "grasp": {},
     "lift": {},
     "lower": {},
+    "stop": {},
     "release": {"confirm": True},
     "clear": {},
     "calibrate": {},
@@ -44,6 +45,8 @@ SERVICES: dict[str, dict[str, Any]] = {
 """Services of type Trigger, and the fields of their requests."""
 CALIBRATE_TIMEOUT_S = 35.0
 QUEUE = 10
+THREADS = 16
+"""More than can be blocked at a time, by one call of each service and by goals of the action: `stop` never waits."""
 DIAGNOSTICS_PERIOD_S = 1.0
 PARAMETERS: dict[str, Any] = {
     "socket": "",
@@ -147,7 +150,7 @@ class SlipguardNode(Node):
         return made
 
     def _service(self, kind: Any, name: str, handle: Callable[[Any, Any], Any]) -> None:
-        made = self.create_service(kind, f"~/{name}", handle, callback_group=ReentrantCallbackGroup())
+        made = self.create_service(kind, f"~/{name}", handle, callback_group=MutuallyExclusiveCallbackGroup())
         self._owned.append((self.destroy_service, made))
 
     def _inactive(self) -> str | None:
@@ -227,7 +230,7 @@ def main() -> None:
     """Run the node until it is shut down."""
     rclpy.init()
     node = SlipguardNode()
-    executor = MultiThreadedExecutor()
+    executor = MultiThreadedExecutor(num_threads=THREADS)
     executor.add_node(node)
     try:
         if node.get_parameter("autostart").value:

@@ -95,6 +95,7 @@ def _guard_status(state: dict[str, Any]) -> DeviceStatus:
         level, message = WARN, "; ".join(waiting) or str(state["config_problem"])
     else:
         level, message = OK, f"{state.get('phase')}, {'guarding' if state.get('guarding') else 'not guarding'}"
+        message += ", stopped by request" if state.get("stopped_by_request") else ""
     latency = state.get("latency") or {}
     return DeviceStatus(
         "guard",
