@@ -96,6 +96,9 @@ class ArmState:
     orientation_rad: tuple[float, float, float] | None = None
     """Tool orientation in that frame as a rotation vector (axis times angle); the tool's z axis points away from the
     flange, along the fingers. None if the arm does not report one."""
+    up: tuple[float, float, float] | None = None
+    """Which way is up in that frame, measured at rest, so that an arm that is not mounted upright is noticed: a lift is
+    refused if up is more than 10 degrees from z. None for an arm without an accelerometer."""
 
 
 class TactileSensor(Protocol):
@@ -188,7 +191,7 @@ class Gripper(Protocol):
 
 
 class Arm(Protocol):
-    """An arm that can lift, stop and lower along the vertical."""
+    """An arm that can lift, stop and lower along the vertical. Up is the z axis of its base."""
 
     @abstractmethod
     async def open(self) -> None:

@@ -103,6 +103,11 @@ class Text(Enum):
         "cannot {verb}: the arm's newest state is {age_ms:.0f} ms old, the limit is {limit_ms:.0f} ms; try again, and "
         "check the arm's network cable if it persists"
     )
+    NOT_UPRIGHT = (
+        "cannot {verb}: the arm is mounted {how}: its accelerometer measures up {tilt_deg:.0f}° from the z axis of its "
+        "base, along which it would move, and the limit is {limit_deg:g}°; mount it upright, or let another program "
+        "move it ([guard] mode = 'guard')"
+    )
     ARM_STOPPED = "cannot {verb}: the arm is in a protective or emergency stop; end that first"
     GRIPPER_MISSING = "the gripper is not connected; see its health in `slipguard ctl state`"
     GRIPPER_NOT_READY = "the gripper is not ready ({why})"

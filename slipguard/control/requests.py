@@ -17,6 +17,7 @@ from slipguard.control.reports import FaultCode, Message, Text
 from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, HandsOff, Phase, force_text, gripper_at_rest
 from slipguard.devices import ACTIVATION_HINT, ArmState, GripperState
+from slipguard.mounting import TILT_MAX_DEG, mounting_name, tilt_deg
 
 CLEAR_ENDS = frozenset({FaultCode.ESTIMATE_UNTRUSTED})
 """Faults whose cause may persist at a clear: it takes a new reference, and without an estimate they latch again."""
@@ -93,10 +94,19 @@ def _no_motion(state: GraspState, observation: Observation, params: GuardParams,
         return Text.ARM_MISSING.message(verb=verb)
     if state.person.now:
         return Text.ARM_STOPPED.message(verb=verb)
+    if (why := _not_upright(observation.arm, verb)) is not None:
+        return why
     age_s = observation.now_s - observation.arm.measured_at_s
     if age_s > arm_motion.FRESH_S:  # the first leg counts from this height
         return Text.ARM_STATE_OLD.message(verb=verb, age_ms=1000.0 * age_s, limit_ms=1000.0 * arm_motion.FRESH_S)
     return None
+
+
+def _not_upright(arm: ArmState, verb: str) -> Message | None:
+    """Return the refusal for an arm that is not mounted upright; None if it is, or if it cannot measure that."""
+    if arm.up is None or (tilt := tilt_deg(arm.up)) <= TILT_MAX_DEG:
+        return None
+    return Text.NOT_UPRIGHT.message(verb=verb, how=mounting_name(tilt), tilt_deg=tilt, limit_deg=TILT_MAX_DEG)
 
 
 def _lift(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:

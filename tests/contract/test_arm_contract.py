@@ -74,6 +74,13 @@ async def test_a_reported_orientation_is_a_rotation_vector_and_stays_during_a_li
         assert math.hypot(*after) == pytest.approx(math.hypot(*before), abs=0.01)
 
 
+async def test_a_reported_up_is_a_unit_vector_along_z_of_an_upright_arm(arm: Arm) -> None:
+    up = (await first_value(arm.state)).up
+    if up is not None:
+        assert math.hypot(*up) == pytest.approx(1.0, abs=1e-3)
+        assert up[2] > math.cos(math.radians(10.0))
+
+
 @pytest.mark.realtime
 async def test_a_lift_starts_and_does_not_wait(arm: Arm) -> None:
     before_s = asyncio.get_running_loop().time()

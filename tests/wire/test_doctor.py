@@ -145,6 +145,9 @@ def test_all_present(there: Cell, capfd: pytest.CaptureFixture[str]) -> None:
     assert report.line("gripper", "condition") == "ok: activated, at rest, 85 mm open -> "
     assert "125 requested" in report.line("arm", "RTDE rate")
     assert report.line("arm", "stops") == "ok: none active -> "
+    assert report.line("arm", "mounting") == "ok: upright: up is 0° from the z axis of the base -> "
+    assert report.line("arm", "TCP") == "ok: its z axis is 0° from that of the flange -> "
+    assert report.line("arm", "payload") == "ok: 1.20 kg -> "
     assert "none runs" in report.line("daemon", "daemon")
     assert not there.events("released")
     assert not there.events("started"), "no script may have been sent to the robot"

@@ -6,15 +6,20 @@ Nothing is taken over: no input registers, no script, no commands. A running pro
 from __future__ import annotations
 
 import asyncio
+import math
+import struct
 from collections.abc import AsyncIterator, Iterator
 from typing import Literal
 
+from slipguard.devices import ArmState
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError
 from slipguard.host_lookup import resolve_host
+from slipguard.mounting import TILT_MAX_DEG, mounting_name, tilt_deg
 from slipguard_drivers.ur5.dashboard import DashboardClient
+from slipguard_drivers.ur5.mounting import flange_rotation, rotation_matrix
 from slipguard_drivers.ur5.preconditions import SCRIPT_PORT
-from slipguard_drivers.ur5.rtde import RATE_HZ, check_port
+from slipguard_drivers.ur5.rtde import RATE_HZ, RtdeConnection, check_port
 from slipguard_drivers.ur5.settings import Ur5Settings
 from slipguard_drivers.ur5.state_monitor import ROBOT_MODES, RUNNING, RobotState, StateMonitor
 
@@ -29,6 +34,8 @@ URCAPS = {
 }
 """URCaps by the port they listen on, and what to do about each."""
 URCAP_TIMEOUT_S = 0.3
+PAYLOAD_MIN_KG = 0.5
+"""Every supported gripper weighs more: a 2F-85 0.9 kg (Robotiq's manual), without sensors."""
 POWER_UP = "power the robot on and release its brakes at the panel"
 
 
@@ -58,6 +65,9 @@ async def check_controller(
         yield check_rate(rate_hz)
         for result in check_state(state):
             yield result
+        yield check_mounting(monitor.arm_state(), mode)
+        yield check_tcp(state)
+        yield await check_payload(name, settings.host)
         if mode == "lift":
             yield await check_script_port(name, settings.host)
         for result in await check_urcaps(settings.host):
@@ -118,6 +128,48 @@ def check_state(state: RobotState) -> Iterator[CheckResult]:
         yield problem("robot", mode, POWER_UP)
     else:
         yield ok("robot", f"{mode}, {'moving' if state.moving else 'at rest'}")
+
+
+def check_mounting(arm: ArmState, mode: Literal["lift", "guard"]) -> CheckResult:
+    """Compare the accelerometer in the tool with the z axis of the base, along which slipguard lifts."""
+    if arm.up is None:
+        observed = "the arm moves" if arm.moving else "the accelerometer in the tool does not measure gravity"
+        return note("mounting", f"not checked: {observed}", "check by eye that the arm is mounted upright")
+    tilt = tilt_deg(arm.up)
+    observed = f"{mounting_name(tilt)}: up is {tilt:.0f}° from the z axis of the base"
+    if tilt > TILT_MAX_DEG and mode == "lift":
+        return problem("mounting", observed, 'mount it upright, or set [guard] mode = "guard": slipguard lifts along z')
+    return ok("mounting", observed)
+
+
+def check_tcp(state: RobotState) -> CheckResult:
+    """Compare the z axis of the TCP, which slipguard takes for the fingers' direction, with that of the flange."""
+    share = float(rotation_matrix(state.pose[3:])[:, 2] @ flange_rotation(state.joints)[:, 2])
+    angle_deg = math.degrees(math.acos(min(1.0, max(-1.0, share))))
+    observed = f"its z axis is {angle_deg:.0f}° from that of the flange"
+    if angle_deg > TILT_MAX_DEG:
+        return note("TCP", observed, "set its orientation at the panel so that z points along the fingers")
+    return ok("TCP", observed)
+
+
+async def check_payload(name: str, host: str) -> CheckResult:
+    """Check that a payload is set; older software does not report it."""
+    try:
+        connection = await RtdeConnection.connect(name, host)
+        try:
+            await connection.request_outputs([("payload", "DOUBLE")])
+            await connection.start()
+            async with asyncio.timeout(MEASURE_S):
+                (payload_kg,) = struct.unpack(">d", await connection.receive())
+        finally:
+            connection.close()
+    except (DeviceError, TimeoutError, struct.error):
+        return ok("payload", "not reported by this software")
+    observed = f"{payload_kg:.2f} kg"
+    if payload_kg < PAYLOAD_MIN_KG:
+        action = "enter mass and center of gravity of gripper and sensors at the panel, or the arm may stop by itself"
+        return note("payload", observed, action)
+    return ok("payload", observed)
 
 
 async def check_script_port(name: str, host: str) -> CheckResult:

@@ -53,7 +53,7 @@ class SafetyStopActive(CommandRefused):
 
 
 class LiftModeArm(Arm):
-    """One arm whose base stands upright: up is the base's z axis."""
+    """One arm. It lifts along the z axis of its base, so the base must stand upright (see `mounting`)."""
 
     def __init__(self, name: str, settings: Ur5Settings) -> None:
         self._name = name

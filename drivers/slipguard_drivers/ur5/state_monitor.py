@@ -14,21 +14,26 @@ from dataclasses import dataclass
 from slipguard.cancellation import cancel_and_wait
 from slipguard.devices import ArmState
 from slipguard.errors import DeviceLost, DeviceTimeout
+from slipguard_drivers.ur5.mounting import MeasuredUp
 from slipguard_drivers.ur5.rtde import RESPONSE_TIMEOUT_S, RtdeConnection
 
 VARIABLES: tuple[tuple[str, str], ...] = (
     ("timestamp", "DOUBLE"),
     ("actual_TCP_pose", "VECTOR6D"),
     ("actual_TCP_speed", "VECTOR6D"),
+    ("actual_q", "VECTOR6D"),
+    ("actual_tool_accelerometer", "VECTOR3D"),
     ("runtime_state", "UINT32"),
     ("safety_status_bits", "UINT32"),
     ("robot_mode", "INT32"),
 )
-LAYOUT = struct.Struct(">d6d6dIIi")
+LAYOUT = struct.Struct(">d6d6d6d3dIIi")
 REGISTERS = 3
 """How many output registers are received in addition, if any."""
 STALE_S = 0.2
 """A state older than this is not used: 25 packets."""
+UP_EVERY = 5
+"""Up is measured in every fifth packet, 25 times per second."""
 CURRENT_S = 0.05
 """A program that was stopped longer ago may have been started again."""
 PROTECTIVE = 1 << 2 | 1 << 4 | 1 << 10
@@ -63,12 +68,16 @@ class RobotState:
         timestamp_s: the controller's clock.
         pose: x, y, z in m and rotation vector in rad, base frame.
         velocity: m/s and rad/s, base frame.
+        joints: angles in rad.
+        acceleration: of the tool in m/s2, with that of gravity; see `slipguard_drivers.ur5.mounting`.
         registers: output registers, which only a program on the controller writes; empty if not requested.
     """
 
     timestamp_s: float
     pose: tuple[float, ...]
     velocity: tuple[float, ...]
+    joints: tuple[float, ...]
+    acceleration: tuple[float, ...]
     runtime: int
     safety_bits: int
     mode: int
@@ -119,6 +128,7 @@ class StateMonitor:
             self._variables += tuple((f"output_double_register_{number}", "DOUBLE") for number in numbers)
             self._layout = struct.Struct(f"{LAYOUT.format}{REGISTERS}d")
         self._zero_height_m = 0.0
+        self._up = MeasuredUp()
         self._newest: RobotState | None = None
         self._lost: str | None = None
         self.packets = 0
@@ -172,6 +182,8 @@ class StateMonitor:
             raise
         self._connection, self._newest, self._lost, self.packets = connection, first, None, 1
         self._zero_height_m = first.pose[2]
+        self._up = MeasuredUp()
+        self._measure_up(first)
         self._reading = asyncio.create_task(self._read(connection), name=f"{self._name}: state monitor")
 
     def fresh(self) -> RobotState:
@@ -195,6 +207,7 @@ class StateMonitor:
             measured_at_s=state.received_at_s,
             position_mm=(state.pose[0] * 1000.0, state.pose[1] * 1000.0, state.pose[2] * 1000.0),
             orientation_rad=(state.pose[3], state.pose[4], state.pose[5]),
+            up=self._up.direction,
         )
 
     async def close(self) -> None:
@@ -220,10 +233,16 @@ class StateMonitor:
                     raise DeviceLost(f"{self._name}: the controller was restarted; open the arm again")
                 if before is None or state.timestamp_s > before.timestamp_s:
                     self._newest = state
+                    if self.packets % UP_EVERY == 0:
+                        self._measure_up(state)
         except DeviceLost as error:
             self._lost = str(error)
             connection.close()
             self._on_lost(self._lost)
+
+    def _measure_up(self, state: RobotState) -> None:
+        if not state.moving:  # in motion, the accelerometer reads the motion, too
+            self._up.add(state.joints, state.acceleration)
 
     def _decode(self, data: bytes) -> RobotState:
         size = self._layout.size
@@ -232,7 +251,8 @@ class StateMonitor:
         timestamp_s, *numbers, runtime, bits, mode = LAYOUT.unpack_from(data)
         registers = struct.unpack_from(f">{(size - LAYOUT.size) // 8}d", data, LAYOUT.size)
         if not all(map(math.isfinite, (timestamp_s, *numbers))):
-            raise DeviceLost(f"{self._name}: the controller sends a pose that is not finite; open it again")
+            raise DeviceLost(f"{self._name}: the controller sends a number that is not finite; open it again")
         now_s = asyncio.get_running_loop().time()
-        pose, velocity = tuple(numbers[:6]), tuple(numbers[6:])
-        return RobotState(timestamp_s, pose, velocity, runtime, bits, mode, now_s, registers)
+        pose, velocity, joints = (tuple(numbers[start : start + 6]) for start in (0, 6, 12))
+        acceleration = tuple(numbers[18:])
+        return RobotState(timestamp_s, pose, velocity, joints, acceleration, runtime, bits, mode, now_s, registers)

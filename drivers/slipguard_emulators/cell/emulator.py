@@ -93,6 +93,10 @@ class CellEmulator(ControlledEmulator):
             bool,
             Field(description="The robot is switched on, in remote control; default: off (`arm panel on`)."),
         ] = False
+        mounting_deg: Annotated[
+            float,
+            Field(ge=0.0, le=180.0, description="Tilt of the robot: 0 upright, 90 on a wall, 180 on the ceiling."),
+        ] = 0.0
         fps: Annotated[
             Literal["60", "30"], Field(description="Rate of the cameras; rendering at 60 takes half a core.")
         ] = "60"
@@ -118,7 +122,12 @@ class CellEmulator(ControlledEmulator):
             WorldJaws(self.world),
         )
         arm_settings = UrEmulator.Settings.model_validate(
-            {"host": settings.host, "series": settings.series, "ready": settings.robot_on}
+            {
+                "host": settings.host,
+                "series": settings.series,
+                "ready": settings.robot_on,
+                "mounting_deg": settings.mounting_deg,
+            }
         )
         self.arm = UrEmulator(arm_settings, self._part("arm"), tool=self.tool)
         self.cameras = {name: self._camera(name) for name in FINGERS}

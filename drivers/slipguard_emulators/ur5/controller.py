@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
+from slipguard_emulators.ur5.flange import Accelerometer, joints
 from slipguard_emulators.ur5.rtde import Value, type_of
 from slipguard_emulators.ur5.script import PROGRAM_STOP_M_S2, ControlScript, RobotProgram, ShuttleProgram
 from slipguard_emulators.ur5.tool import ToolPlant
@@ -35,10 +36,18 @@ class EmulatedController:
     """One robot. All times are seconds on one clock; `client` is any object that stands for one RTDE connection.
 
     ready: the arm is switched on with its brakes released, and the robot is in remote control. A robot that was just
-    switched on is neither.
+    switched on is neither. mounting_deg: tilt of the base about its x axis. payload_kg: as entered at the panel.
     """
 
-    def __init__(self, tool: ToolPlant, note: EventLogger, *, ready: bool = True) -> None:
+    def __init__(
+        self,
+        tool: ToolPlant,
+        note: EventLogger,
+        *,
+        ready: bool = True,
+        mounting_deg: float = 0.0,
+        payload_kg: float = 0.0,
+    ) -> None:
         self.tool = tool
         self.safety = "NORMAL"
         self.mode = RUNNING if ready else POWER_OFF
@@ -54,6 +63,7 @@ class EmulatedController:
         """A fieldbus adapter is switched on: it holds all inputs."""
         self.registers: dict[str, Sequence[float]] = {}
         """Output registers that programs have written; they keep their values when the program ends."""
+        self._accelerometer, self._payload_kg = Accelerometer(mounting_deg), payload_kg
         self._inputs: dict[str, Value] = {}
         self._owners: dict[str, object] = {}
         self._note = note
@@ -101,6 +111,9 @@ class EmulatedController:
             "target_TCP_pose": pose,
             "actual_TCP_speed": velocity,
             "target_TCP_speed": velocity,
+            "actual_q": joints(tuple(pose[3:])),
+            "actual_tool_accelerometer": self._accelerometer.read(now_s, pose, velocity),
+            "payload": (self._payload_kg,),
             "speed_scaling": (1.0,),
             "target_speed_fraction": (1.0,),
             "runtime_state": (self.runtime,),

@@ -48,6 +48,10 @@ class UrEmulator(ControlledEmulator):
             False,
             description="Start switched on, brakes released, in remote control; a real robot starts switched off.",
         )
+        mounting_deg: Annotated[float, Field(ge=0.0, le=180.0)] = Field(
+            0.0, description="Tilt of the arm's base: 0 upright, 90 on a wall, 180 on the ceiling."
+        )
+        payload_kg: Annotated[float, Field(ge=0.0, le=20.0)] = Field(1.2, description="Payload set at the panel.")
         late_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(100.0, description="Delay of the fault `late`.")
         script_start_ms: Annotated[float, Field(ge=0.0, le=10_000.0)] = Field(
             20.0, description="Time from a script's upload to its start."
@@ -57,7 +61,13 @@ class UrEmulator(ControlledEmulator):
         super().__init__(FAULTS, report=report)
         self.settings = settings
         self.tool: ToolPlant = tool or StraightTool()
-        self.controller = EmulatedController(self.tool, self.note, ready=settings.ready)
+        self.controller = EmulatedController(
+            self.tool,
+            self.note,
+            ready=settings.ready,
+            mounting_deg=settings.mounting_deg,
+            payload_kg=settings.payload_kg,
+        )
         self.controller.remote |= settings.series == "cb3"  # which knows no local control
         self._stop, self._local = "NORMAL", False
         self._version, self._rate_hz = SERIES[settings.series]

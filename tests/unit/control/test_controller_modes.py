@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import pytest
@@ -190,6 +191,31 @@ def test_no_motion_near_a_person() -> None:
     """Also where nothing has latched yet."""
     view = seen_in(Phase.HOLDING, arm=arm(protective=True), request=ask(RequestKind.LIFT))
     assert "protective" in str(step(state_in(Phase.HOLDING), view, PARAMS)[1].refusal)
+
+
+@pytest.mark.parametrize(
+    ("tilt_deg", "refused"),
+    [
+        (0.0, None),
+        (9.9, None),
+        (10.1, "at a tilt: its accelerometer measures up 10°"),
+        (45.0, "at a tilt: its accelerometer measures up 45°"),
+        (90.0, "on a wall: its accelerometer measures up 90°"),
+        (180.0, "on the ceiling: its accelerometer measures up 180°"),
+    ],
+)
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("kind", [RequestKind.LIFT, RequestKind.LOWER])
+def test_an_arm_that_is_not_mounted_upright_is_not_moved(
+    kind: RequestKind, axis: int, tilt_deg: float, refused: str | None
+) -> None:
+    up = [0.0, 0.0, math.cos(math.radians(tilt_deg))]
+    up[axis] = math.sin(math.radians(tilt_deg))
+    view = seen_in(Phase.HOLDING, arm=changed(arm(50.0, at_s=NOW_S), up=tuple(up)), request=ask(kind))
+    state, command = step(state_in(Phase.HOLDING), view, PARAMS)
+    assert isinstance(command.arm, LiftArm) is (refused is None)
+    assert command.refusal is None if refused is None else refused in str(command.refusal)
+    assert state.phase is (Phase.HOLDING if refused else state.phase)
 
 
 @pytest.mark.parametrize("kind", [RequestKind.LIFT, RequestKind.LOWER])

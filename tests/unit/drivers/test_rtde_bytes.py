@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import os
 import struct
 from collections.abc import AsyncIterator, Callable
@@ -20,18 +21,23 @@ from slipguard_emulators.ur5.tool import StraightTool
 
 HOST = f"127.{20 + os.getpid() // 256 % 200}.{os.getpid() % 256}.33"
 """Of this run of the tests alone: the ports cannot be chosen."""
-NAMES = b"timestamp,actual_TCP_pose,actual_TCP_speed,runtime_state,safety_status_bits,robot_mode"
-TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,UINT32,UINT32,INT32"
+NAMES = (
+    b"timestamp,actual_TCP_pose,actual_TCP_speed,actual_q,actual_tool_accelerometer,"
+    b"runtime_state,safety_status_bits,robot_mode"
+)
+TYPES = b"DOUBLE,VECTOR6D,VECTOR6D,VECTOR6D,VECTOR3D,UINT32,UINT32,INT32"
 # Big endian: size (with itself), type, payload.
 VERSION = (b"\x00\x05V\x00\x02", b"\x00\x04V\x01")
 CONTROLLER = (b"\x00\x03v", b"\x00\x13v" + bytes.fromhex("00000005 00000011 00000003 00000000"))
 RECIPE = (
-    b"\x00\x61O" + bytes.fromhex("405f400000000000") + NAMES,  # 125.0
-    b"\x00\x30O\x01" + TYPES,
+    b"\x00\x84O" + bytes.fromhex("405f400000000000") + NAMES,  # 125.0
+    b"\x00\x42O\x01" + TYPES,
 )
 START = (b"\x00\x03S", b"\x00\x04S\x01")
 POSE, SPEED = (-0.3, -0.2, 0.3, 0.0, 3.14, 0.0), (0.0, 0.0, 0.05, 0.0, 0.0, 0.0)
-DATA = b"\x00\x78U\x01" + struct.pack(">13d2Ii", 12.5, *POSE, *SPEED, 2, 1, 7)
+JOINTS, UP_IN_TOOL = (0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0), (0.0, -9.82, 0.0)
+DATA = b"\x00\xc0U\x01" + struct.pack(">22d2Ii", 12.5, *POSE, *SPEED, *JOINTS, *UP_IN_TOOL, 2, 1, 7)
+AT_REST = b"\x00\xc0U\x01" + struct.pack(">22d2Ii", 12.5, *POSE, *[0.0] * 6, *JOINTS, *UP_IN_TOOL, 2, 1, 7)
 
 
 def answered(kind: str, payload: bytes, session: RtdeSession) -> bytes:
@@ -48,7 +54,7 @@ def test_the_emulator_answers_as_the_protocol_says() -> None:
     emulated = session()
     for request, answer in (VERSION, CONTROLLER, RECIPE, START):
         assert answered(chr(request[2]), request[3:], emulated) == answer
-    assert len(LAYOUT.pack(*[0] * 16)) == len(DATA) - 4
+    assert len(LAYOUT.pack(*[0] * 25)) == len(DATA) - 4
     assert [cycle for cycle in range(8) if emulated.due(cycle)] == [0, 4], "125 of 500 cycles a second"
 
 
@@ -105,6 +111,17 @@ async def test_the_driver_asks_as_the_protocol_says(served: tuple[list[bytes], d
     assert monitor.arm_state().orientation_rad == POSE[3:]
     assert (state.runtime, state.safety_bits, state.mode) == (2, 1, 7)
     assert state.moving
+    assert (state.joints, state.acceleration) == (JOINTS, UP_IN_TOOL)
+    assert monitor.arm_state().up is None, "in motion, the accelerometer reads the motion, too"
+    await monitor.close()
+
+
+async def test_up_is_measured_at_rest(served: tuple[list[bytes], dict[bytes, bytes]]) -> None:
+    """With all links upright, the flange's y axis points down (known from the robot's own display of that pose)."""
+    served[1][START[0]] = START[1] + AT_REST
+    monitor = StateMonitor("arm", HOST)
+    await monitor.open()
+    assert monitor.arm_state().up == pytest.approx((0.0, 0.0, 1.0), abs=1e-9)
     await monitor.close()
 
 
@@ -125,10 +142,10 @@ async def test_inputs_are_taken_and_sent_by_their_recipe(served: tuple[list[byte
         (VERSION[0], b"\x00\x04V\x00", DeviceLost, "PolyScope 3.5"),
         (CONTROLLER[0], b"\x00\x05v\x00\x00", DeviceLost, "check the robot.s address"),
         (CONTROLLER[0], b"HTTP/1.1 400 Bad Request\r\n", DeviceLost, "does not send RTDE"),
-        (RECIPE[0], b"\x00\x31O\x00" + TYPES.replace(b"INT32", b"NOT_FOUND", 1), DeviceLost, "does not offer runtime"),
+        (RECIPE[0], b"\x00\x43O\x00" + TYPES.replace(b"INT32", b"NOT_FOUND", 1), DeviceLost, "does not offer runtime"),
         (START[0], b"\x00\x04S\x00", DeviceLost, "does not start"),
         (START[0], START[1] + b"\x00\x05U\x01\x00", DeviceLost, "bytes of RTDE data"),
-        (START[0], START[1] + DATA[:4] + b"\x7f\xf8" + DATA[6:], DeviceLost, "a pose that is not finite"),
+        (START[0], START[1] + DATA[:4] + b"\x7f\xf8" + DATA[6:], DeviceLost, "a number that is not finite"),
     ],
 )
 async def test_an_invalid_response_is_reported_in_one_line(
@@ -161,12 +178,12 @@ async def test_outputs_of_another_size_are_reported_in_one_line(served: tuple[li
     recipe = bytes.fromhex("405f400000000000") + b"actual_digital_output_bits"
     answers[struct.pack(">H", 3 + len(recipe)) + b"O" + recipe] = b"\x00\x0aO\x01UINT64"
     answers[struct.pack(">H", 3 + len(names)) + b"I" + names] = b"\x00\x0fI\x01UINT8,UINT8"
-    with pytest.raises(DeviceLost, match="116 bytes of digital outputs instead of 8"):
+    with pytest.raises(DeviceLost, match="188 bytes of digital outputs instead of 8"):
         await DigitalOutput("arm", HOST, 3, 0.1).pulse()
     assert all(request[2:3] != b"U" for request in received), "nothing is set where it is not known how it stands"
 
 
 def test_the_recipe_is_what_the_layout_holds() -> None:
-    sizes = {"DOUBLE": "d", "VECTOR6D": "6d", "UINT32": "I", "INT32": "i"}
+    sizes = {"DOUBLE": "d", "VECTOR6D": "6d", "VECTOR3D": "3d", "UINT32": "I", "INT32": "i"}
     assert struct.calcsize(">" + "".join(sizes[kind] for _, kind in VARIABLES)) == LAYOUT.size
     assert ",".join(name for name, _ in VARIABLES).encode() == NAMES
