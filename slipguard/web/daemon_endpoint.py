@@ -18,7 +18,8 @@ from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused, SlipguardError
 from slipguard.web.protocol import encode_finger_frame, encode_message, read_message
 
-CONCURRENT_CALLS_MAX = 100
+CONCURRENT_CALLS_MAX = 256
+"""More than a web process makes: it has 64 clients on each of its two sockets, so a stop waits for no other call."""
 SILENCE_MAX_S = 10.0
 """A web process requests the state ten times per second, so one that is silent for longer is stuck."""
 START_MAX_S = 60.0

@@ -14,6 +14,8 @@ UNKNOWN_CLIENTS_MAX = 48
 """Of these without token and cookie: the rest is reserved for clients that may send commands."""
 UNKNOWN_STREAMS_MAX = 32
 """Of these on the live stream, which stays open."""
+STOP_PATH = "/stop"
+"""A stop is never one too many, unless the client may not send it."""
 HEADERS = {
     "content-security-policy": "default-src 'self'; img-src 'self' blob:; frame-ancestors 'none'; base-uri 'none'; "
     "form-action 'none'",
@@ -47,7 +49,8 @@ class ApiMiddleware:
 
         unknown = self._is_known is not None and not self._is_known(Headers(scope=scope))
         unknown_stream = unknown and scope["type"] == "websocket"
-        limit = self._exceeded_limit(unknown, unknown_stream)
+        stops = not unknown and scope.get("path") == STOP_PATH
+        limit = None if stops else self._exceeded_limit(unknown, unknown_stream)
         if limit is not None:
             await refuse(503, limit, scope, receive, send_with_headers)
             return
