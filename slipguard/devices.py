@@ -25,7 +25,8 @@ FRAME_WIDTH_PX = 240
 FRAME_HEIGHT_PX = 320
 FINGERS = ("left", "right")
 ACTIVATION_HINT = (
-    "empty the jaws, protect the gels, then run `slipguard ctl activate`: the jaws open and close fully, at full speed"
+    "if it holds something, support that and release it; with empty jaws, covered gels and no hand near, run "
+    "`slipguard ctl activate`: the jaws open and close fully, at full speed and force"
 )
 """What to do about a gripper that is not activated."""
 
@@ -62,21 +63,24 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class GripperState:
-    """State reported by the gripper. `holding`: the fingers stopped on an object while closing."""
+    """State reported by the gripper."""
 
     active: bool
     moving: bool
     holding: bool
+    """The fingers stopped on an object while closing. A gripper that is not active cannot know; then it is False."""
     closed_on_nothing: bool
     """The fingers are closed, as far as fingertip sensors allow: there is no object between them."""
     width_mm: float
-    """Between the fingers, or between the gels of fingertip sensors."""
+    """Between the fingers, or between the gels of fingertip sensors. Only its changes count while not active."""
     force_n: float
     """The force last applied by a command, per finger; not a measurement."""
     fault: str | None
     measured_at_s: float
     force_known: bool = True
     """False if something is held that was not commanded on this connection: `force_n` is then the least it can be."""
+    auto_released: bool = False
+    """`release` has opened a gripper that was not active; it must be activated before it moves again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,13 +177,15 @@ class Gripper(Protocol):
 
     @abstractmethod
     async def release(self, width_mm: float) -> None:
-        """Open to `width_mm`, limited by the stroke. The only command that opens a held object's grip.
+        """Open to `width_mm`, and by some millimeters in any case, limited by the stroke.
 
-        A gripper that needs an activation is activated first.
+        The only command that opens a held object's grip, and in no state does it close the fingers first. A gripper
+        that is not active, or faulty, may open in another way, and then reports `auto_released`. Raises
+        `CommandRefused`, with what to do, if it cannot be opened without closing.
         """
 
     async def activate(self) -> None:
-        """Activate the gripper and wait until it is active; its fingers may move fully, at full speed.
+        """Activate the empty gripper and wait until it is active; its fingers may move fully, at full speed and force.
 
         Raises `CommandRefused` if it is active already, and for a gripper that needs no activation.
         """

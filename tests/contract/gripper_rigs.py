@@ -66,6 +66,10 @@ class GripperRig:
     def repair(self, fault: str) -> None:
         raise NotImplementedError
 
+    def lose_power(self) -> None:
+        """Take its power away for a moment: it is not active any more."""
+        raise NotImplementedError
+
     def new_driver(self) -> Gripper:
         """Return a new driver for the same gripper, as after a restart."""
         raise NotImplementedError
@@ -97,6 +101,9 @@ class FakeGripperRig(GripperRig):
     def repair(self, fault: str) -> None:
         self.world.faults.repair("gripper", fault)
 
+    def lose_power(self) -> None:
+        self.world.gripper_activated = False
+
     def new_driver(self) -> Gripper:
         return FakeGripper(FakeGripper.Settings(), DriverContext("gripper", self.world))
 
@@ -127,6 +134,9 @@ class WireGripperRig(GripperRig):
     def repair(self, fault: str) -> None:
         self.emulator.control({"disconnect": "clear unplug", "timeout": "clear silence"}.get(fault, "gflt 0"))
 
+    def lose_power(self) -> None:
+        self.emulator.registers.lose_power(asyncio.get_running_loop().time())
+
     def new_driver(self) -> Gripper:
         settings = RobotiqGripper.Settings(
             port=str(self.emulator.settings.link),
@@ -137,7 +147,7 @@ class WireGripperRig(GripperRig):
         return RobotiqGripper(settings, DriverContext("gripper"))
 
     async def stop(self) -> None:
-        assert self.emulator.registers.activations == 0, "activation moves the fingers: only a release may start it"
+        assert self.emulator.registers.activations == 0, "activation moves the fingers: only `activate` may start it"
         assert self.emulator.events("rACT cleared") == []
         await self.emulator.stop()
 
@@ -150,8 +160,10 @@ class HardwareGripperRig(GripperRig):
         self.gripper = build()
 
     async def start(self) -> None:
-        """Open it. On the first call the fingers of some grippers move all the way."""
+        """Open it. Some grippers must be activated first: their fingers move all the way."""
         await self.gripper.open()
+        if not (await self.gripper.state()).active:
+            await self.gripper.activate()
         await self.gripper.release(1000.0)
         self.open_mm = (await eventually(self.gripper.state, lambda state: not state.moving)).width_mm
         await self.gripper.close()

@@ -231,6 +231,33 @@ async def test_release_opens_the_fingers(rig: GripperRig, held: Gripper) -> None
     check_pressed(rig, 0.0)
 
 
+@needs("no object")
+async def test_a_release_opens_by_some_millimeters_in_any_case(rig: GripperRig, held: Gripper) -> None:
+    before_mm = (await held.state()).width_mm
+    await held.release(before_mm - 10.0)
+    await eventually(held.state, lambda state: state.width_mm > before_mm + 2.0 and not state.holding)
+    check_pressed(rig, 0.0)
+
+
+@needs("faults")
+async def test_a_gripper_that_is_not_active_opens_without_closing_first(rig: GripperRig, held: Gripper) -> None:
+    rig.lose_power()
+    lost = await held.state()
+    assert (lost.active, lost.holding, lost.moving) == (False, False, False)
+    await held.release(0.5 * rig.open_mm)
+    width_mm, pressed_n = lost.width_mm, rig.pressed_n() or 0.0
+    while not (state := await held.state()).auto_released:
+        assert state.width_mm >= width_mm
+        assert (rig.pressed_n() or 0.0) <= pressed_n
+        width_mm, pressed_n = state.width_mm, rig.pressed_n() or 0.0
+    assert not state.moving
+    assert not state.active
+    assert state.width_mm > lost.width_mm + 2.0
+    check_pressed(rig, 0.0)
+    with pytest.raises(CommandRefused):
+        await held.hold(rig.force(FIRM))
+
+
 async def test_after_a_release_a_lower_force_holds(rig: GripperRig, held: Gripper) -> None:
     await held.release(rig.open_mm)
     await eventually(held.state, lambda state: state.width_mm > rig.open_mm - 1.0)

@@ -22,7 +22,7 @@ from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_drivers.robotiq.registers import MODEL_2F85, MODEL_HAND_E, RobotiqModel
 from slipguard_emulators.robotiq.emulator import FAULTS, RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import JawsState, SimpleJaws
-from slipguard_emulators.robotiq.registers import ActivationStage
+from slipguard_emulators.robotiq.registers import ActivationStage, GripperFigures
 
 PROBABILITY = 0.01
 """Of each kind of fault, at each request."""
@@ -37,7 +37,7 @@ RELEASING = ContextVar("RELEASING", default=False)
 OPENINGS = ("released", "activating", "rACT cleared")
 LANE_MODELS = (MODEL_2F85, MODEL_HAND_E)
 """Every second line has the other gripper."""
-MIX = {"state": 35, "hold": 25, "move": 12, "give up": 10, "release": 6, "restart": 6, "object": 6}
+MIX = {"state": 30, "hold": 25, "move": 12, "give up": 10, "release": 11, "restart": 6, "object": 6}
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,8 @@ class Truth:
     ready: bool
     going: bool
     view: JawsState
+    width_mm: float
+    """By the reported position and the usual calibration."""
 
 
 @dataclass
@@ -117,8 +119,10 @@ class Lane:
             view = registers.tick(now_s)
             going = bool(registers.outputs[0] >> 8 & 0x08)
             at_s = asyncio.get_running_loop().time()
-            self.truths.append(Truth(at_s, registers.stage is ActivationStage.READY, going, view))
-            return read(now_s)
+            words = read(now_s)
+            width_mm = usual_width_mm(registers.figures, words[2] >> 8)
+            self.truths.append(Truth(at_s, registers.stage is ActivationStage.READY, going, view, width_mm))
+            return words
 
         registers.read = watched  # type: ignore[method-assign]
 
@@ -221,9 +225,13 @@ class Lane:
         width_mm = self.rng.uniform(0.5, 1.0) * self.model.stroke_mm
 
         async def release() -> None:
+            """A gripper that was not active is activated afterwards, with empty jaws."""
             token = RELEASING.set(True)
             try:
                 await self.gripper.release(width_mm)
+                if (await self.gripper.state()).auto_released:
+                    self._jaws.object_mm = None
+                    await self.gripper.activate()
             finally:
                 RELEASING.reset(token)
 
@@ -270,6 +278,13 @@ class Lane:
         await asyncio.sleep(0)
 
 
+def usual_width_mm(figures: GripperFigures, count: int) -> float:
+    """Return the width at a position if the fingers stop where they usually do."""
+    open_count, closed_count = figures.counts
+    share = min(max((count - open_count) / (closed_count - open_count), 0.0), 1.0)
+    return figures.stroke_mm * (1.0 - share)
+
+
 def agree(state: GripperState, truth: Truth) -> bool:
     """Whether a state is what the gripper was like.
 
@@ -277,7 +292,7 @@ def agree(state: GripperState, truth: Truth) -> bool:
     said until gOBJ belongs to the newest command.
     """
     view = truth.view
-    if state.active != truth.ready or abs(state.width_mm - view.width_mm) > STEP_MM:
+    if state.active != truth.ready or abs(state.width_mm - truth.width_mm) > STEP_MM:
         return False
     if truth.ready and truth.going and view.moving and not state.moving:
         return False

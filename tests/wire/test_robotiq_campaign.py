@@ -44,10 +44,10 @@ async def test_no_state_is_wrong_no_grip_opens_and_nothing_hangs(
 def test_a_wrong_state_is_noticed() -> None:
     state = GripperState(True, False, True, False, 41.0, 40.0, None, 0.0)
     held = JawsState(41.2, 40.2, False, met_closing=True)
-    assert agree(state, Truth(0.0, True, True, held))
+    assert agree(state, Truth(0.0, True, True, held, 41.2))
     for view in (JawsState(45.0, 40.2), JawsState(41.2, 40.2, moving=True), JawsState(41.2), JawsState(41.2, 30.0)):
-        assert not agree(state, Truth(0.0, True, True, view))
-    assert not agree(state, Truth(0.0, False, True, held))
+        assert not agree(state, Truth(0.0, True, True, view, view.width_mm))
+    assert not agree(state, Truth(0.0, False, True, held, 41.2))
 
 
 def test_the_mix_has_everything() -> None:

@@ -15,7 +15,7 @@ import serial
 
 from slipguard.errors import CommandRefused, InputError
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
-from slipguard_emulators.robotiq.jaws import SimpleJaws
+from slipguard_emulators.robotiq.jaws import OVERRIDE_S, RAMP_N_S, SimpleJaws
 from slipguard_emulators.robotiq.modbus_frames import crc16
 from slipguard_emulators.robotiq.registers import FIGURES, ActivationStage, GripperRegisters
 
@@ -45,6 +45,18 @@ class Bench:
     @property
     def flags(self) -> int:
         return self.registers.read(self.now_s)[0] >> 8
+
+    @property
+    def fault(self) -> int:
+        return self.registers.read(self.now_s)[1] >> 8
+
+    @property
+    def position(self) -> int:
+        return self.registers.read(self.now_s)[2] >> 8
+
+    @property
+    def width_mm(self) -> float:
+        return self.jaws.state_at(self.now_s).width_mm
 
     @property
     def force_n(self) -> float:
@@ -157,7 +169,7 @@ def test_force_never_falls_until_the_jaws_open(bench: Bench) -> None:
     before_n = bench.force_n
     bench.write(0x0100, 0xFF, 0xFF00)
     bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
-    assert bench.force_n == before_n > 100.0
+    assert 100.0 < before_n <= bench.force_n <= before_n + RAMP_N_S * OVERRIDE_S + 1e-9
     bench.write(0x0900, 0x00, 0xFF00, after_s=2.0)
     assert bench.force_n == 0.0
     assert "released" in bench.events
@@ -182,25 +194,102 @@ def test_a_go_before_activation_is_a_fault() -> None:
     assert bench.registers.read(bench.now_s)[1] >> 8 == 0x05
 
 
-def test_silence_and_automatic_release_are_reported(bench: Bench) -> None:
+def test_silence_is_reported(bench: Bench) -> None:
     bench.registers.request_received(bench.now_s)
     bench.wait(1.5)
-    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x09
-    bench.registers.request_received(bench.now_s)
-    bench.write(0x1100, 0, 0)
-    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x0B
-    bench.wait(10.0)
-    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x0F
+    assert bench.fault == 0x09
 
 
-def test_without_power_it_is_reset_and_the_screw_holds(bench: Bench) -> None:
+@pytest.mark.parametrize(("word", "end_mm"), [(0x1100, 0.0), (0x3100, 85.0)], ids=["rARD 0", "rARD 1"])
+def test_an_automatic_release_goes_slowly_to_the_end_in_the_direction_of_rard(
+    bench: Bench, word: int, end_mm: float
+) -> None:
+    bench.write(0x0900, 120, 0xFF00, after_s=2.0)
+    before_mm = bench.width_mm
+    bench.write(word, 0, 0, after_s=1.0)
+    assert bench.fault == 0x0B
+    assert bench.flags == 0x01, "gSTA 0, gGTO 0"
+    assert abs(bench.width_mm - before_mm) == pytest.approx(20.0, abs=1.0), "at 20 mm/s"
+    bench.write(0x0900, 120, 0xFF00, after_s=10.0)
+    assert bench.fault == 0x0F
+    assert bench.width_mm == end_mm, "rATR overrides everything but rACT"
+    bench.write(0x0100, 0, 0, after_s=1.0)
+    assert bench.flags & 0x30 == 0, "it must be reset first"
+    bench.write(0, 0, 0)
+    bench.write(0x0100, 0, 0, after_s=4.0)
+    assert bench.flags & 0x3F == 0x31
+
+
+def test_an_automatic_release_frees_the_object_though_the_power_was_lost(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
+    bench.registers.lose_power(bench.now_s)
+    bench.write(0x3100, 0, 0, after_s=5.0)
+    assert (bench.width_mm, bench.force_n, bench.fault) == (85.0, 0.0, 0x0F)
+    assert bench.registers.activations == 1
+
+
+@pytest.mark.parametrize("code", [0x0A, 0x0C])
+def test_what_cannot_move_has_no_automatic_release(bench: Bench, code: int) -> None:
+    bench.write(0x0900, 120, 0xFF00, after_s=2.0)
+    before_mm = bench.width_mm
+    bench.registers.fault = code
+    bench.write(0x3100, 0, 0, after_s=2.0)
+    assert (bench.width_mm, bench.fault) == (before_mm, code)
+
+
+@pytest.mark.parametrize("after_power_loss", [0, 1])
+def test_without_power_the_screw_holds_and_ract_must_rise_again(bench: Bench, after_power_loss: int) -> None:
     bench.jaws.object_mm = 40.0
     bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
     before_n = bench.force_n
+    bench.registers.action_after_power_loss = after_power_loss
     bench.registers.lose_power(bench.now_s)
     bench.wait(1.0)
     assert bench.registers.stage is ActivationStage.OFF
     assert bench.force_n == before_n
+    assert (bench.flags, bench.fault) == (after_power_loss, 0x05 * after_power_loss)
+    bench.write(0x0100, 0, 0, after_s=1.0)
+    assert ("released" in bench.events) is not bool(after_power_loss), "only an edge of rACT activates"
+
+
+def test_the_position_has_no_reference_without_power_and_another_calibration_with_each_activation() -> None:
+    bench, opened, closed = Bench(), set(), set()
+    for _ in range(12):
+        bench.registers.lose_power(bench.now_s)
+        unreferenced = bench.position
+        bench.write(0, 0, 0)
+        bench.write(0x0100, 0, 0, after_s=4.0)
+        opened.add(bench.position)
+        bench.write(0x0900, 0xFF, 0xFF00, after_s=1.0)
+        closed.add(bench.position)
+        assert abs(bench.position - unreferenced) > 0
+        bench.write(0x0900, 0, 0xFF00, after_s=1.0)
+    assert len(opened) > 3
+    assert min(opened) >= 3
+    assert max(opened) <= 13
+    assert len(closed) > 3
+    assert min(closed) >= 225
+    assert max(closed) <= 235
+
+
+@pytest.mark.parametrize(("force", "width_mm"), [(0x80, 30.0), (0x00, 40.0)], ids=["force", "force 0"])
+def test_it_closes_on_where_an_object_yields_unless_the_force_is_0(bench: Bench, force: int, width_mm: float) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF00 | force, after_s=2.0)
+    bench.jaws.object_mm = 30.0
+    bench.wait(1.0)
+    assert bench.width_mm == width_mm
+    assert bench.force_n > 0.0 or force == 0
+
+
+def test_the_force_setting_does_not_limit_the_begin_of_a_motion(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
+    assert bench.force_n == pytest.approx(20.0), "the motion began long before the object"
+    bench.write(0x0100, 0xFF, 0xFF01)
+    bench.write(0x0900, 0xFF, 0xFF01, after_s=2.0)
+    assert bench.force_n == pytest.approx(20.0 + RAMP_N_S * OVERRIDE_S)
 
 
 def test_a_removed_object_is_noticed(bench: Bench) -> None:

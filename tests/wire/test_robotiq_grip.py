@@ -35,11 +35,16 @@ async def test_it_is_activated_on_request_only(tmp_path: Path) -> None:
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
-    assert not (await gripper.state()).active
+    state = await gripper.state()
+    assert (state.active, state.moving, state.fault) == (False, False, None), "gACT is 1 after power-on: not activating"
+    for command in (gripper.hold(40.0), gripper.move(50.0, 40.0)):
+        with pytest.raises(CommandRefused, match="run `slipguard ctl activate`"):
+            await command
     assert words_written(emulator) == []
     await gripper.activate()
     state = await gripper.state()
-    assert (state.active, round(state.width_mm)) == (True, 85)
+    assert state.active
+    assert state.width_mm == pytest.approx(85.0, abs=4.0), "the counts are calibrated anew at each activation"
     assert emulator.registers.activations == 1
     with pytest.raises(CommandRefused, match="already activated"):
         await gripper.activate()
@@ -56,36 +61,17 @@ async def test_an_activation_is_refused_while_an_object_is_held(
     assert words_written(emulator) == []
 
 
-async def test_a_release_activates(tmp_path: Path) -> None:
-    emulator = quick(tmp_path)
-    await emulator.start()
-    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
-    await gripper.open()
-    assert not (await gripper.state()).active
-    for command in (gripper.hold(40.0), gripper.move(50.0, 40.0)):
-        with pytest.raises(CommandRefused, match="run `slipguard ctl activate`"):
-            await command
-    assert words_written(emulator) == []
-    await gripper.release(85.0)
-    assert emulator.registers.activations == 1
-    assert (await gripper.state()).active
-    await gripper.release(60.0)
-    assert emulator.registers.activations == 1
-    await gripper.close()
-    await emulator.stop()
-
-
 @pytest.mark.realtime
 async def test_closing_the_connection_does_not_wait_for_an_activation(tmp_path: Path) -> None:
     emulator = quick(tmp_path, quick=1.0)
     await emulator.start()
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
-    release = asyncio.ensure_future(gripper.release(85.0))
+    activation = asyncio.ensure_future(gripper.activate())
     await asyncio.sleep(0.2)
     await asyncio.wait_for(gripper.close(), 0.3)
     with pytest.raises(DeviceLost, match="repeat the command"):
-        await release
+        await activation
     await emulator.stop()
 
 
@@ -237,13 +223,6 @@ async def test_fingers_halted_before_gobj_shows_their_motion_stop(
     assert words_written(emulator)[-1].startswith("0100 00FF")
     assert not (await gripper.state()).moving
     assert not emulator.state()["moving"]
-
-
-async def test_a_release_clears_a_fault(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
-    emulator.control("gflt 0x0E")
-    assert (await gripper.state()).fault == "overcurrent"
-    await gripper.release(85.0)
-    assert (await gripper.state()).fault is None
 
 
 async def test_tightening_is_stop_then_go_and_never_opens(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:

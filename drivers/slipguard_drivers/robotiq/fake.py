@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 LATE_S = 0.2
 ACTIVATION_POLL_S = 0.05
+RELEASE_MIN_MM = 5.6
+"""A release opens at least this far, as a 2F-85's does."""
 
 
 class FakeGripperSettings(BaseModel):
@@ -57,6 +59,8 @@ class FakeGripper(Gripper):
         self._open = False
         self._force_known = False
         """Whether the grip was commanded on this connection."""
+        self._auto_released = False
+        """Whether an automatic release was commanded since the last activation."""
         self._fingers_mm = 2.0 * settings.fingertip_mm
         """Width of the fingers without sensors where the gels touch."""
         self._closed_mm = GEL_GAP_MM if settings.fingertip_mm else 0.0
@@ -119,11 +123,15 @@ class FakeGripper(Gripper):
         await self._round_trip(self._world.command_halt)
 
     async def release(self, width_mm: float) -> None:
-        """Open to `width_mm`; activate the gripper first if necessary."""
+        """Open to `width_mm`; fully, by an automatic release, if the gripper is not activated."""
         width_to_count(width_mm, MODEL_2F85)
-        if not self._world.gripper_activated:
-            await self.activate()
-        await self._round_trip(lambda now_s: self._open_to(now_s, width_mm))
+
+        def command(now_s: float) -> None:
+            self._auto_released = not self._world.gripper_activated
+            widest_mm = MODEL_2F85.stroke_mm if self._auto_released else self._state(now_s).width_mm + RELEASE_MIN_MM
+            self._open_to(now_s, max(width_mm, widest_mm))
+
+        await self._round_trip(command)
 
     async def activate(self) -> None:
         """Open, close and open fully, as a Robotiq does at its activation."""
@@ -133,7 +141,7 @@ class FakeGripper(Gripper):
         await self._move_fully(lambda now_s: self._open_to(now_s, stroke_mm))
         await self._move_fully(lambda now_s: self._world.command_move(now_s, 0.0, force_n))
         await self._move_fully(lambda now_s: self._open_to(now_s, stroke_mm))
-        self._world.gripper_activated = True
+        self._world.gripper_activated, self._auto_released = True, False
 
     async def close(self) -> None:
         """Disconnect; the grip stays."""
@@ -146,6 +154,7 @@ class FakeGripper(Gripper):
         """Return the state as a driver reports it that knows the fingertips: gels that meet hold nothing."""
         state = self._world.gripper_state(now_s)
         width_mm = max(state.width_mm - self._fingers_mm, 0.0)
+        state = replace(state, auto_released=self._auto_released and not state.moving)
         if not self._fingers_mm or not nothing_between(width_mm):
             return replace(state, width_mm=width_mm)
         return replace(state, width_mm=width_mm, holding=False, closed_on_nothing=state.active)

@@ -2,8 +2,9 @@
 
 Two properties of the hardware determine the design:
 
-* Activation (rACT from 0 to 1) opens and closes the fingers fully, at full speed: an object would fall, and gels would
-  meet. Only `activate` and `release` activate.
+* Activation (rACT from 0 to 1) opens and closes the fingers fully, at full speed and force: it would crush what is
+  held, and then drop it. Only `activate` sets rACT; see `registers` for how `release` opens a gripper that is not
+  active.
 * The force register acts only while the fingers move, so tightening is a stop followed by a go. The stop must have been
   reported before the go is sent: within one cycle of the gripper the two would cancel out. The screw keeps the grip
   meanwhile. The force can rise, but not fall, until the fingers open.
@@ -43,6 +44,10 @@ OPENING_MIN_MM = 5.0
 ACTIVATION_TIMEOUT_S = 10.0
 """A 2F-85 takes about 3 s to open and close fully."""
 ACTIVATION_POLL_S = 0.05
+IN_RESET = (
+    "not released: the gripper is in reset (its activation bit is 0), so only an activation would open it, and that "
+    "also closes the jaws. Support what it holds, switch its 24 V off and on, which sets the bit, then release again"
+)
 ACTIVATION_ECHO_S = 0.1
 """A commanded activation must be visible in the status after this time; the gripper's cycle is 5 ms."""
 MAY_STILL_MOVE = "its activation was commanded and may still move the jaws fully, until it responds again"
@@ -150,7 +155,7 @@ class RobotiqGripper(Gripper):
             raise DeviceLost(str(error)) from None
         return GripperState(
             active=status.ready,
-            moving=self._jaws.moving or self._activating,
+            moving=self._jaws.moving or self._activating or status.releasing,
             holding=self._jaws.holding,
             closed_on_nothing=self._jaws.closed_on_nothing,
             width_mm=registers.count_to_width(status.position, self._model),
@@ -158,6 +163,7 @@ class RobotiqGripper(Gripper):
             fault=status.fault,
             measured_at_s=asyncio.get_running_loop().time(),
             force_known=self._applied is not None or not self._jaws.holding,
+            auto_released=status.auto_released,
         )
 
     async def hold(self, force_n: float) -> float:
@@ -179,12 +185,12 @@ class RobotiqGripper(Gripper):
         await self._complete(self._halt(self._deadline_s()))
 
     async def release(self, width_mm: float) -> None:
-        """Open; activate the gripper first if necessary, which moves the fingers fully."""
+        """Open. A gripper that is not active, or faulty, opens slowly and fully by an automatic release."""
         await self._complete(self._release(registers.width_to_count(width_mm, self._model), self._deadline_s()))
 
     async def activate(self) -> None:
         """Activate an empty gripper and wait until it is active; the fingers open and close fully."""
-        await self._complete(self._activate_empty(self._deadline_s()))
+        await self._complete(self._activate(self._deadline_s()))
 
     async def close(self) -> None:
         """Disconnect; the grip stays. An activation continues by itself."""
@@ -288,24 +294,39 @@ class RobotiqGripper(Gripper):
         async with self._exclusive(deadline_s):
             status = await self._status(deadline_s)
             if not status.ready or status.fault is not None:
-                status = await self._activate(deadline_s)
-                deadline_s = self._deadline_s()
+                await self._release_automatically(status, deadline_s)
+                return
             position = max(0, min(position, status.position - RELEASE_COUNTS_MIN))
             self._applied = None
             await self._write(deadline_s, go=True, position=position, speed=registers.FULL_SPEED, force=0)
             await self._expect(deadline_s, position, going=True)
 
-    async def _activate_empty(self, deadline_s: float) -> None:
+    async def _release_automatically(self, status: RobotiqStatus, deadline_s: float) -> None:
+        """Start an automatic release, unless one runs or has ended. Never sets rACT, which would activate."""
+        if status.releasing or status.auto_released:
+            return
+        if not status.activated:
+            raise CommandRefused(f"{self._name}: {IN_RESET}")
+        await self._modbus.write(registers.OUTPUT_ADDRESS, registers.auto_release(), deadline_s)
+        for _ in range(ECHO_READS):
+            status = await self._status(deadline_s)
+            if status.releasing or status.auto_released:
+                return
+        raise DeviceTimeout(
+            f"{self._name}: the gripper does not begin its automatic release ({status.fault or 'no fault reported'}); "
+            "check its power"
+        )
+
+    async def _activate(self, deadline_s: float) -> None:
         async with self._exclusive(deadline_s):
             status = await self._status(deadline_s)
             if status.ready and status.fault is None:
                 raise CommandRefused(f"{self._name}: the gripper is already activated")
             if self._jaws.holding:
                 raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
-            await self._activate(deadline_s)
+            await self._reset_and_activate(deadline_s)
 
-    async def _activate(self, deadline_s: float) -> RobotiqStatus:
-        """Reset and activate: the fingers open and close fully. Only `activate` and `release` may do that."""
+    async def _reset_and_activate(self, deadline_s: float) -> None:
         await self._modbus.write(registers.OUTPUT_ADDRESS, [0, 0, 0], deadline_s)
         await self._expect(deadline_s, 0, going=False, activated=False)
         self._activating, self._activation_sent_s = True, asyncio.get_running_loop().time()
@@ -313,18 +334,21 @@ class RobotiqGripper(Gripper):
         status = await self._expect(deadline_s, 0, going=False)
         loop = asyncio.get_running_loop()
         ends_s = loop.time() + ACTIVATION_TIMEOUT_S
-        while status.activated and loop.time() < ends_s and not self._closing_down:
-            if status.ready and status.fault is None:
-                return status
+        while self._activating and loop.time() < ends_s and not self._closing_down:
             await asyncio.sleep(ACTIVATION_POLL_S)
             with contextlib.suppress(DeviceTimeout):  # the activation continues without communication
                 status = await self._status(self._deadline_s())
+        if status.ready and status.fault is None:
+            return
         if self._closing_down:
             raise DeviceLost(f"{self._name}: disconnected during the activation of the gripper; repeat the command")
-        if not status.activated:
-            raise DeviceTimeout(f"{self._name}: the gripper was reset during its activation; repeat the command")
+        fault = status.fault or "no fault reported"
+        if not self._activating:
+            raise DeviceTimeout(
+                f"{self._name}: the gripper lost power or was reset during its activation ({fault}); repeat the command"
+            )
         raise DeviceTimeout(
-            f"{self._name}: not activated after {ACTIVATION_TIMEOUT_S:.0f} s ({status.fault or 'no fault reported'}); "
+            f"{self._name}: not activated after {ACTIVATION_TIMEOUT_S:.0f} s ({fault}); switch its 24 V off before you "
             "remove what blocks the fingers"
         )
 
@@ -334,8 +358,8 @@ class RobotiqGripper(Gripper):
         if not status.ready:
             self._forget_grip()  # it lost power, or another program has reset it
         now_s, self._silent_since_s, self._silent_calls = asyncio.get_running_loop().time(), math.inf, 0
-        if status.activated or now_s > self._activation_sent_s + ACTIVATION_ECHO_S:
-            self._activating = status.activated and not status.ready
+        if status.activating or now_s > self._activation_sent_s + ACTIVATION_ECHO_S:
+            self._activating = status.activating
         self._jaws.update(status, now_s)
         return status
 
@@ -346,7 +370,7 @@ class RobotiqGripper(Gripper):
     async def _ready_status(self, deadline_s: float) -> RobotiqStatus:
         status = await self._status(deadline_s)
         if status.fault is not None:
-            raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; release clears it")
+            raise DeviceError(f"{self._name}: the gripper reports a fault: {status.fault}; {ACTIVATION_HINT}")
         if not status.ready:
             raise CommandRefused(f"{self._name}: the gripper is not activated; {ACTIVATION_HINT}")
         return status

@@ -12,6 +12,8 @@ lag).
 from __future__ import annotations
 
 from slipguard_drivers.robotiq.registers import (
+    CALIBRATION_COUNTS,
+    CLOSED_COUNT,
     FingerMotion,
     RobotiqModel,
     RobotiqStatus,
@@ -107,6 +109,9 @@ class ObjectDetection:
         return inward and known
 
     def _is_closed(self, status: RobotiqStatus) -> bool:
-        """Return whether the fingers were to close fully, and have."""
+        """Return whether the fingers were to close fully, and have; `RobotiqModel` says how exactly."""
         closing = status.position_echo >= self._model.goal_count
-        return closing and nothing_between(count_to_width(status.position, self._model))
+        if closing and nothing_between(count_to_width(status.position, self._model)):
+            return True
+        at_end = status.going and status.motion is FingerMotion.AT_POSITION and status.position_echo == CLOSED_COUNT
+        return at_end and status.position >= self._model.closed_count - CALIBRATION_COUNTS

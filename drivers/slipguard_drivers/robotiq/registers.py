@@ -3,6 +3,16 @@
 Three registers are written at 0x03E8 (action | -, - | position, speed | force) and three are read at
 0x07D0 (status | -, fault | position echo, position | current). Position 0 is open, 255 closed.
 Source: Robotiq 2F-85/2F-140 and Hand-E instruction manuals, section 4.
+
+What these manuals say about a gripper that is not active:
+
+* rACT: its rising edge activates, which moves the fingers fully. A loss of power sets rACT; it must be cleared and set
+  again before the gripper works. gFLT 5 says so meanwhile, and gSTA is 0.
+* rATR: automatic release, meant for after an emergency stop: the fingers slowly open to the end of the stroke. It
+  overrides everything but rACT. gFLT is 0x0B meanwhile and 0x0F afterwards; then the gripper must be reset and
+  activated.
+* rARD: direction of the automatic release, taken over with rATR: 1 opens, 0 closes. The manual of the older 2-Finger
+  200 has it the other way around; that gripper is not supported.
 """
 
 from __future__ import annotations
@@ -33,22 +43,29 @@ FAULTS = {
     0x08: "too hot: it must cool down before it moves again",
     0x09: "no communication for at least one second",
     0x0A: "supply voltage is below the minimum",
-    0x0B: "automatic release in progress",
+    0x0B: None,
     0x0C: "internal fault",
     0x0D: "activation fault: check that nothing is in its way",
     0x0E: "overcurrent",
-    0x0F: "automatic release completed",
+    0x0F: None,
 }
-"""gFLT as text. Codes up to 0x07 clear themselves; 0x09 only says that no request arrived for a second."""
-PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09})
+"""gFLT as text. Codes up to 0x07 clear themselves; 0x09 only says that no request arrived for a second. 0x0B and 0x0F
+belong to the automatic release."""
+PASSING_FAULTS = frozenset({0x00, 0x05, 0x07, 0x09, 0x0B, 0x0F})
+RELEASING, RELEASED = 0x0B, 0x0F
+"""gFLT during and after an automatic release."""
+CALIBRATION_COUNTS = 8
+"""An activation calibrates the position again; fingers that touch are at most this much before `closed_count`."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotiqModel:
     """Data of one model.
 
-    open_count, closed_count: positions at which the fingers stop after activation. fingertip_mm: thickness of a sensor
-    on each finger; widths are between the gels.
+    open_count, closed_count: usual positions at which the fingers stop. They differ from unit to unit and from one
+    activation to the next (the manual's own example shows 13 open), so widths are true to about 4 mm at the open end
+    and 3 mm at the closed end, and differences of widths to 5 %. fingertip_mm: thickness of a sensor on each finger;
+    widths are between the gels.
     """
 
     name: str
@@ -99,18 +116,30 @@ class RobotiqStatus:
     """The decoded input registers. Counts are 0-255."""
 
     activated: bool
+    """gACT, which is also set after a loss of power."""
     going: bool
     ready: bool
     motion: FingerMotion
     fault_code: int
     position_echo: int
     position: int
+    activating: bool = False
 
     @property
     def stopped_on_object(self) -> bool:
         """Whether gOBJ says that an object stopped the closing fingers; see `object_detection` for when to trust it."""
         stopped = self.motion is FingerMotion.STOPPED_CLOSING and self.position_echo > self.position
         return self.ready and self.going and stopped
+
+    @property
+    def releasing(self) -> bool:
+        """Whether an automatic release opens the fingers."""
+        return self.fault_code == RELEASING
+
+    @property
+    def auto_released(self) -> bool:
+        """Whether an automatic release has ended, so that the gripper must be activated again."""
+        return self.fault_code == RELEASED
 
     @property
     def fault(self) -> str | None:
@@ -126,6 +155,11 @@ def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -
         if not 0 <= count <= 255:
             raise ValueError(f"{name} is {count} counts; it must be 0 to 255")
     return [(activate << 0 | go << 3) << 8, position, speed << 8 | force]
+
+
+def auto_release() -> list[int]:
+    """Return the three output registers that start an automatic release in the direction of opening."""
+    return [(1 << 0 | 1 << 4 | 1 << 5) << 8, 0, 0]
 
 
 def decode(registers: Sequence[int]) -> RobotiqStatus:
@@ -144,6 +178,7 @@ def decode(registers: Sequence[int]) -> RobotiqStatus:
         fault_code=echo_word >> 8 & 0x0F,
         position_echo=echo_word & 0xFF,
         position=position_word >> 8,
+        activating=status >> 4 & 0x03 == 1,
     )
 
 

@@ -39,7 +39,7 @@ FAULTS = {
     "wrong_slave": "an answer is from another slave; its checksum is right",
     "ignore": "a write is acknowledged, but not executed",
     "freeze": "the controller hangs for outage_ms and continues afterwards",
-    "power": "the gripper loses power for outage_ms: everything but the screw is reset",
+    "power": "the gripper loses power for outage_ms: the screw keeps the grip, and it must be activated again",
     "unplug": "the serial port disappears for outage_ms",
 }
 
@@ -110,6 +110,8 @@ class RobotiqEmulator(ControlledEmulator):
         """Create the port. Raises InputError if the link cannot be created."""
         if self.settings.activated:
             self.registers.outputs, self.registers.stage = [RACT << 8, 0, 0], ActivationStage.READY
+        else:
+            self.registers.lose_power(asyncio.get_running_loop().time())
         self._port.plug()
         self._started = True
 

@@ -14,6 +14,8 @@ RAMP_N_S = 400.0
 """Rise of the force after the fingers have reached an object; published values are 64 to 480 N/s."""
 DEAD_TIME_S = 0.02
 """From a command to the first motion: 20 to 60 ms."""
+OVERRIDE_S = 0.01
+"""A beginning motion ignores the force setting for a "short period" (manual of the 3-Finger gripper); an assumption."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +73,8 @@ class SimpleJaws(JawsPlant):
         self._limit_n = 0.0
         self._speed_mm_s = 0.0
         self._at_s = 0.0
+        self._limited_from_s = 0.0
+        """From then on the force setting limits the present motion."""
         self._met_closing = False
 
     def drive(self, now_s: float, width_mm: float, speed_mm_s: float, force_n: float) -> None:
@@ -78,7 +82,9 @@ class SimpleJaws(JawsPlant):
         self._advance(now_s)
         going_on = self._goal_mm is not None and (self._goal_mm < self._width_mm) == (width_mm < self._width_mm)
         self._goal_mm, self._speed_mm_s, self._limit_n = width_mm, speed_mm_s, force_n
-        self._at_s = self._at_s if going_on else now_s + DEAD_TIME_S
+        if not going_on:
+            self._at_s = now_s + DEAD_TIME_S
+            self._limited_from_s = self._at_s + OVERRIDE_S
 
     def halt(self, now_s: float) -> None:
         """See `JawsPlant`."""
@@ -127,7 +133,9 @@ class SimpleJaws(JawsPlant):
         if not in_the_way:
             self._goal_mm, self._met_closing = None, False
             return
-        left_s = step_s - way_mm / self._speed_mm_s
-        self._force_n = max(self._force_n, min(self._limit_n, self._force_n + RAMP_N_S * left_s))
-        if self._force_n >= self._limit_n:
+        pressing_s = self._at_s - (step_s - way_mm / self._speed_mm_s)
+        overridden_s = min(max(self._limited_from_s - pressing_s, 0.0), self._at_s - pressing_s)
+        limited_n = max(self._limit_n, self._force_n + RAMP_N_S * overridden_s)
+        self._force_n = min(limited_n, self._force_n + RAMP_N_S * (self._at_s - pressing_s))
+        if self._force_n >= self._limit_n and self._at_s >= self._limited_from_s:
             self._goal_mm, self._met_closing = None, True

@@ -1,9 +1,21 @@
 """The controller of a 2F or Hand-E gripper behind its registers; written from the manual, without code of the driver.
 
-It reproduces what matters to a driver. Setting rACT activates: the jaws open and close fully, at full speed and force,
-so an object falls. A new force acts only while the motor runs: at rest, only a stop and then a go start it. Written
-registers take effect once per cycle, so a stop and a go within one cycle have no effect. gOBJ keeps its former value
-for a time after a go, and while rGTO is 0 it has an arbitrary value, for the manual says to ignore it then.
+It reproduces what matters to a driver:
+
+* A rising edge of rACT activates: the jaws open and close fully, at full speed and force, so an object falls. Each
+  activation calibrates the counts of the position again (Robotiq's knowledge base, "encoder bytes": about 3 open and
+  230 closed; the manual's own example shows 13 open).
+* A loss of power sets rACT, and it must be cleared and set again before the gripper works (manual, rACT). Until then
+  gSTA is 0 and gFLT 5 (ros-industrial/robotiq, issue 202). The screw keeps the grip, and the position has no reference.
+* rATR opens slowly to the end of the stroke if rARD is set with it, and closes otherwise. It overrides everything but
+  rACT. gFLT is 0x0B meanwhile and 0x0F afterwards; then the gripper must be reset and activated (manual, rATR, rARD).
+  rATR together with a rising edge of rACT is not documented: here it is the worse of both, an activation.
+* A new force acts only while the motor runs: at rest, only a stop and then a go start it. The force setting is
+  overridden for a short time when a motion begins (3-Finger manual, FORCE); see `SimpleJaws`.
+* If an object yields or is lost while rGTO is set, the fingers close on, unless the force is 0 (manual: re-grasp).
+* Written registers take effect once per cycle, so a stop and a go within one cycle have no effect.
+* gOBJ keeps its former value for a time after a go, and while rGTO is 0 it has an arbitrary value, for the manual says
+  to ignore it then.
 """
 
 from __future__ import annotations
@@ -24,6 +36,12 @@ OBJECT_LAG_MAX_S = 0.2
 """From a go to the gOBJ that belongs to it; Robotiq's SDK waits this long for motion."""
 SILENT_S = 1.0
 """After this time without a request, fault 0x09 is reported."""
+OPEN_SPREAD, CLOSED_SPREAD = 10, 5
+"""Counts by which a calibration may differ from the usual one: upward when open, both ways when closed."""
+UNREFERENCED_COUNTS = 20
+"""Counts by which the position may be off between a loss of power and the next activation; an assumption."""
+IMMOBILE = frozenset({0x0A, 0x0C})
+"""gFLT with which nothing moves: supply voltage too low, internal fault; an assumption."""
 RACT, RGTO, RATR, RARD = 0x01, 0x08, 0x10, 0x20
 
 
@@ -48,9 +66,10 @@ FIGURES = {
 
 
 class ActivationStage(Enum):
-    """Progress of the activation; gSTA is 0 at OFF, 3 at READY, 1 in between."""
+    """Progress of the activation; gSTA is 0 at OFF and RELEASING, 3 at READY, 1 in between."""
 
     OFF = "off"
+    RELEASING = "automatic release"
     OPENING = "opening"
     CLOSING = "closing"
     REOPENING = "reopening"
@@ -61,7 +80,7 @@ class GripperRegisters:
     """The registers and the controller behind them.
 
     note(event, **details): called with every event. quick: speed of the motion relative to a real gripper. seed: of the
-    lags of gOBJ.
+    lags of gOBJ and of the calibrations.
     """
 
     def __init__(
@@ -75,8 +94,15 @@ class GripperRegisters:
         self.stage = ActivationStage.OFF
         self.activations = 0
         self.outputs = [0, 0, 0]
+        self.action_after_power_loss = RACT
+        """rACT is set by a loss of power, as the manual says; 0 for a unit that starts reset."""
         self.draw_lag_s: Callable[[], float] = lambda: rng.uniform(0.0, OBJECT_LAG_MAX_S)
         """Draws the lag of gOBJ, for each go."""
+        self.counts = figures.counts
+        """Positions at which the open and the closed fingers stop, by the newest calibration."""
+        self._unreferenced = 0
+        """Counts by which the position is off since the newest loss of power."""
+        self._calibrations = random.Random(seed + 1)
         self._draw_object: Callable[[], int] = lambda: rng.randrange(4)
         self._former_object = 0
         """gOBJ before the newest go or stop."""
@@ -87,7 +113,6 @@ class GripperRegisters:
         self._note = note
         self._quick = quick
         self._written: tuple[float, list[int]] | None = None
-        self._atr_fault = 0
         self._last_request_s: float | None = None
         self._pressed_n = 0.0
 
@@ -105,7 +130,7 @@ class GripperRegisters:
         view = self.tick(now_s)
         action = self.outputs[0] >> 8
         on = bool(action & RACT)
-        state = {ActivationStage.OFF: 0, ActivationStage.READY: 3}.get(self.stage, 1)
+        state = {ActivationStage.OFF: 0, ActivationStage.RELEASING: 0, ActivationStage.READY: 3}.get(self.stage, 1)
         flags = on | bool(action & RGTO) << 3 | state << 4 | self._object(now_s, view) << 6
         current = 30 if view.moving else 0
         echo = self.outputs[1] & 0xFF
@@ -119,6 +144,7 @@ class GripperRegisters:
             self._apply(due_s, values)
         view = self.jaws.state_at(now_s)
         self._continue_activation(now_s, view)
+        self._grasp_again(now_s, view)
         if not view.moving and view.force_n != self._pressed_n:
             what = "empty" if not view.holds else "tightened" if self._pressed_n else "gripped"
             self._pressed_n = view.force_n
@@ -130,16 +156,16 @@ class GripperRegisters:
         self._last_request_s = now_s
 
     def lose_power(self, now_s: float) -> None:
-        """Reset everything but the screw."""
+        """Reset everything but the screw; the position loses its reference."""
         self._note("power lost", held=self.jaws.state_at(now_s).holds)
         self.jaws.halt(now_s)
-        self.outputs, self._written, self.stage, self.fault, self._atr_fault = (
-            [0, 0, 0],
+        self.outputs, self._written, self.stage, self.fault = (
+            [self.action_after_power_loss << 8, 0, 0],
             None,
             ActivationStage.OFF,
             0,
-            0,
         )
+        self._unreferenced = self._calibrations.randint(-UNREFERENCED_COUNTS, UNREFERENCED_COUNTS)
 
     def _apply(self, now_s: float, values: list[int]) -> None:
         former_object = self._object(now_s, self.jaws.state_at(now_s))
@@ -152,9 +178,13 @@ class GripperRegisters:
         if was & RACT and not action & RACT:
             self._note("rACT cleared", held=self.jaws.state_at(now_s).holds)
             self.jaws.halt(now_s)
-            self.stage, self.fault, self._atr_fault = ActivationStage.OFF, 0, 0
-        elif action & RACT and self.stage is ActivationStage.OFF:
+            self.stage, self.fault = ActivationStage.OFF, 0
+        elif action & RACT and not was & RACT:
             self._activate(now_s)
+        elif action & RACT and action & RATR:
+            if not was & RATR and self.fault not in IMMOBILE:
+                self.stage = ActivationStage.RELEASING
+                self._drive(now_s, 0 if action & RARD else 255, 0, 0)
         elif self.stage is ActivationStage.READY:
             self._act(now_s, old, values)
 
@@ -165,7 +195,7 @@ class GripperRegisters:
         self._drive(now_s, 0, 255, 255)
 
     def _continue_activation(self, now_s: float, view: JawsState) -> None:
-        if view.moving or self.stage in (ActivationStage.OFF, ActivationStage.READY):
+        if view.moving or self.stage in (ActivationStage.OFF, ActivationStage.RELEASING, ActivationStage.READY):
             return
         if self.stage is ActivationStage.OPENING:
             self.stage = ActivationStage.CLOSING
@@ -175,15 +205,26 @@ class GripperRegisters:
             self._drive(now_s, 0, 255, 255)
         else:
             self.stage = ActivationStage.READY
+            self._calibrate()
             self._note("activated")
+
+    def _calibrate(self) -> None:
+        opened, closed = self.figures.counts
+        draw = self._calibrations.randint
+        self.counts = opened + draw(0, OPEN_SPREAD), min(closed + draw(-CLOSED_SPREAD, CLOSED_SPREAD), 255)
+        self._unreferenced = 0
+
+    def _grasp_again(self, now_s: float, view: JawsState) -> None:
+        """Close on where an object has yielded or is gone."""
+        action, position, motion = self.outputs[0] >> 8, self.outputs[1] & 0xFF, self.outputs[2]
+        if self.stage is not ActivationStage.READY or not action & RGTO or not motion & 0xFF:
+            return
+        if not view.moving and not view.holds and self._count(view.width_mm) < self._reachable(position) - 1:
+            self._note("grasping again", width_mm=round(view.width_mm, 2))
+            self._drive(now_s, position, motion >> 8, motion & 0xFF)
 
     def _act(self, now_s: float, old: list[int], new: list[int]) -> None:
         was, action = old[0] >> 8, new[0] >> 8
-        if action & RATR:
-            if not was & RATR:
-                self._atr_fault = 0x0B
-                self._drive(now_s, 0 if action & RARD else 255, 0, 0)
-            return
         if not action & RGTO:
             if was & RGTO:
                 self.jaws.halt(now_s)
@@ -221,28 +262,31 @@ class GripperRegisters:
 
     def _fault_code(self, now_s: float) -> int:
         """gFLT."""
-        if self._atr_fault == 0x0B and not self.jaws.state_at(now_s).moving:
-            self._atr_fault = 0x0F
-        if self.fault or self._atr_fault:
-            return self.fault or self._atr_fault
+        if self.stage is ActivationStage.RELEASING:
+            return 0x0B if self.jaws.state_at(now_s).moving else 0x0F
+        if self.fault:
+            return self.fault
         action = self.outputs[0] >> 8
         if action & RGTO and not action & RACT:
             return 0x07
+        if action & RACT and self.stage is ActivationStage.OFF:
+            return 0x05
         if action & RGTO and self.stage is not ActivationStage.READY:
             return 0x05
         silent = self._last_request_s is not None and now_s - self._last_request_s > SILENT_S
         return 0x09 if silent else 0
 
     def _count(self, width_mm: float) -> int:
-        share, (open_count, closed_count) = 1.0 - width_mm / self.figures.stroke_mm, self.figures.counts
-        return round(open_count + share * (closed_count - open_count))
+        """gPO."""
+        share, (open_count, closed_count) = 1.0 - width_mm / self.figures.stroke_mm, self.counts
+        return min(max(round(open_count + share * (closed_count - open_count)) + self._unreferenced, 0), 255)
 
     def _width_mm(self, count: int) -> float:
-        open_count, closed_count = self.figures.counts
+        open_count, closed_count = self.counts
         share = (self._reachable(count) - open_count) / (closed_count - open_count)
         return self.figures.stroke_mm * (1.0 - share)
 
     def _reachable(self, count: int) -> int:
         """Return the position nearest to a requested one at which the fingers can stop."""
-        open_count, closed_count = self.figures.counts
+        open_count, closed_count = self.counts
         return min(max(count, open_count), closed_count)

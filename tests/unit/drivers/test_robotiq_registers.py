@@ -20,6 +20,7 @@ from slipguard_drivers.robotiq.registers import (
     MODEL_HAND_E,
     OUTPUT_ADDRESS,
     FingerMotion,
+    auto_release,
     count_to_force,
     count_to_width,
     decode,
@@ -46,6 +47,11 @@ def test_the_manuals_open_command() -> None:
 
 def test_activation_clears_everything_but_ract() -> None:
     assert encode(activate=True, go=False, position=0, speed=0, force=0) == [0x0100, 0, 0]
+
+
+def test_an_automatic_release_opens_and_needs_ract() -> None:
+    """Bits 0 (rACT), 4 (rATR) and 5 (rARD: 1 opens) of the action request, in one write."""
+    assert auto_release() == [0x3100, 0, 0]
 
 
 def test_the_manuals_status_of_a_grasp() -> None:
@@ -84,17 +90,35 @@ def test_when_gobj_says_that_an_object_is_held(flags: int, echo: int, position: 
         (0x08, "too hot"),
         (0x09, None),  # passes: the line was silent for a second
         (0x0A, "voltage"),
-        (0x0B, "automatic release in progress"),
+        (0x0B, None),  # belongs to an automatic release, as 0x0F
         (0x0C, "internal fault"),
         (0x0D, "activation fault"),
         (0x0E, "overcurrent"),
-        (0x0F, "automatic release completed"),
+        (0x0F, None),
         (0x06, "0x06"),
     ],
 )
 def test_faults_are_texts(code: int, expected: str | None) -> None:
     fault = decode([0xB900, code << 8 | 255, 0xBD00]).fault
     assert fault is None if expected is None else expected in (fault or "")
+
+
+@pytest.mark.parametrize(
+    ("flags", "code", "activating", "releasing", "auto_released"),
+    [
+        (0x11, 0x00, True, False, False),
+        (0x01, 0x05, False, False, False),  # after a loss of power
+        (0x00, 0x00, False, False, False),
+        (0x01, 0x0B, False, True, False),
+        (0x01, 0x0F, False, False, True),
+    ],
+)
+def test_what_a_gripper_does_that_is_not_active(
+    flags: int, code: int, activating: bool, releasing: bool, auto_released: bool
+) -> None:
+    status = decode([flags << 8, code << 8, 0x7B00])
+    assert not status.ready
+    assert (status.activating, status.releasing, status.auto_released) == (activating, releasing, auto_released)
 
 
 @pytest.mark.parametrize("registers", [[], [0xB900, 255], [0xB900, 255, 0x10000], [0xB900, -1, 0]])
