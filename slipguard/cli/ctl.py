@@ -42,7 +42,8 @@ ACTIVATION_QUESTION = (
     "or cover them with something soft, empty the jaws and keep your hands out. Activate the gripper?"
 )
 RELEASE_QUESTION = (
-    "Open the jaws? A held object drops. A gripper that is not activated is activated: its jaws also close fully."
+    "Open the jaws? A held object drops: support it. A gripper that is not active opens slowly and fully, and must be "
+    "activated afterwards."
 )
 
 
@@ -196,12 +197,14 @@ def release(
     socket: SocketOption = None,
     json: JsonOption = False,
 ) -> None:
-    """Open the jaws, in every state, including faults. A held object drops.
+    """Open the jaws, in every state, including faults; they never close. A held object drops: support it first.
+
+    A gripper that is not active, as after a loss of power, opens slowly and fully. It must then be activated.
 
     Example: `slipguard ctl release --yes`
     """
     if not yes and not _confirm(RELEASE_QUESTION):
-        typer.echo("the jaws were not opened; `slipguard ctl release --yes` does not ask", err=True)
+        typer.echo("the jaws were not opened; with --yes the command does not ask", err=True)
         raise typer.Exit(1)
     _submit(context, socket, json, "release", confirm=True, width_mm=width_mm)
 

@@ -95,7 +95,9 @@ def _grip_text(state: Mapping[str, Any]) -> str:
     if gripper.get("fault"):
         return f"gripper fault: {gripper['fault']}"
     if not gripper["active"] and gripper["moving"]:
-        return "gripper being activated: the jaws open and close fully"
+        return "gripper not active yet, moving: the jaws may open and close fully"
+    if gripper.get("auto_released"):
+        return "opened by an automatic release; before the next grasp see `slipguard ctl activate --help`"
     if not gripper["active"]:
         return "gripper not activated: see `slipguard ctl activate --help`"
     width = f"jaws {gripper['width_mm']:.0f} mm apart"

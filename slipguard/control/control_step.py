@@ -155,7 +155,11 @@ def _watch_object(state: GraspState, observation: Observation, params: GuardPara
     times = LOST_ALONE_TIMES if _reported_by_one_finger(observation) else 1.0
     if observation.now_s - since_s < params.tuning.lost_after_s * times:
         return state, None
-    return state, Fault(FaultCode.OBJECT_LOST, why, "take the object away, release, and clear")
+    return state, Fault(
+        FaultCode.OBJECT_LOST,
+        why,
+        "look for the object; if the jaws still touch it, support it, then release; otherwise clear",
+    )
 
 
 def _loss(observation: Observation) -> str | None:

@@ -86,7 +86,8 @@ def _closing(state: GraspState, observation: Observation, params: GuardParams) -
         fault = Fault(
             FaultCode.GRIPPER_STUCK,
             f"not closed on an object within {timeout_s:g} s{where}",
-            "check the jaws and the gripper's cable, then clear",
+            "keep your hands out of the jaws, which may still close; support what is between them, then release; or "
+            "check the gripper's cable, then clear",
         )
         return latch(state, observation, fault, StepOutput())
     return state, StepOutput()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 
+AFTER_INTERRUPTION = "with no hand near the jaws, grasp again; or support what is between them, then release"
+
 
 @dataclass(frozen=True, slots=True)
 class Message:
@@ -56,22 +58,21 @@ class Text(Enum):
     ARRIVED = "at {height_mm:.0f} mm, holding"
     ARM_CONTINUES = "the arm continues"
     PUTTING_DOWN = "putting the object down by {height_mm:.0f} mm"
-    PUT_DOWN = "put down where the lift began; `release` opens the jaws"
+    PUT_DOWN = "put down where the lift began; support it if it can tip over, then release it"
     PUT_DOWN_STOPPED = "putting down stopped"
     NOT_PUT_DOWN_AFTER_STOP = "not put down: stopped by request"
     NO_WAY_DOWN = "not put down: the height where the lift began is unknown"
     STOPPED = "stopped by request"
-    STOPPED_CLOSING = (
-        STOPPED + "; the closing was interrupted: with no hand near the jaws, grasp again; or support what is between "
-        "them, then release"
-    )
+    STOPPED_CLOSING = STOPPED + "; the closing was interrupted: " + AFTER_INTERRUPTION
     STOPPED_RELEASING = STOPPED + "; the jaws open all the same, as requested before"
     JAWS_HALTED = "a person may be near: the moving jaws are halted"
     # release
     RELEASING = "releasing, as requested"
     RELEASING_WHEN_ARM_STANDS = "releasing, as requested: when the arm stands, after {wait_s:g} s at the latest"
-    RELEASED = "released"
-    RELEASED_ARM_UNKNOWN = "released; the arm has not reported that it stands"
+    RELEASED = "released: the jaws have opened from {from_mm:.0f} to {to_mm:.0f} mm, and no finger sees contact"
+    RELEASED_ARM_UNKNOWN = RELEASED + "; the arm has not reported that it stands"
+    NOTHING_RELEASED = "nothing was held; the jaws are {to_mm:.0f} mm apart"
+    ACTIVATE_NEXT = "before the next grasp the gripper must be activated: {hint}"
     # activation
     ACTIVATING = "activating the gripper: the jaws open and close fully"
     # guarding
@@ -87,7 +88,8 @@ class Text(Enum):
     HOLDING_UNGUARDED = HOLDING_AS_REQUESTED + "; not guarded until `guard on`"
     # clear
     CLEARED_EMPTY = "cleared; nothing is held"
-    CLEARED_INTERRUPTED = "cleared; the closing was interrupted: grasp again, or release"
+    CLEARED_INACTIVE = "cleared; no finger sees contact, and the gripper is not active: {hint}"
+    CLEARED_INTERRUPTED = "cleared; the closing was interrupted: " + AFTER_INTERRUPTION
     CLEARED_HOLDING = "cleared; holding with {force}"
     # the fingers
     FINGER_NOTE = "{note}"
@@ -113,10 +115,10 @@ class Text(Enum):
     GRIPPER_NOT_READY = "the gripper is not ready ({why})"
     ALREADY_ACTIVE = "the gripper is already activated"
     MAY_HOLD = (
-        "cannot activate: {why}, so an object may be held and would drop; support it, then use `slipguard ctl "
-        "release`, which also activates"
+        "cannot activate: {why}, so an object may be held, and the jaws would close on it and drop it; support it, "
+        "then use `slipguard ctl release`, which only opens"
     )
-    ALREADY_HELD = "an object is already held; `guard on` guards it, `release` opens the jaws"
+    ALREADY_HELD = "an object is already held; `guard on` guards it; to open the jaws, support it, then release"
     LIMIT_BELOW_GRIPPER = "the force limit of {limit_n:g} N is below the {weakest_n:g} N this gripper applies at least"
     ABOVE_FORCE_LIMIT = "{force_n:g} N is above the force limit of {limit_n:g} N"
     NOT_WITHIN_FORCE_LIMIT = "{force_n:g} N is not within the force limit of {limit_n:g} N"
@@ -126,13 +128,13 @@ class Text(Enum):
     )
     NOTHING_HELD = "nothing is held; grasp something first"
     NOTHING_HELD_IN_FAULT = "nothing is held; clear, then grasp something first"
-    INTERRUPTED = "the closing was interrupted and the jaws apply 0 N; grasp again, or release"
-    INTERRUPTED_IN_FAULT = "the closing was interrupted and the jaws apply 0 N; clear and grasp again, or release"
+    INTERRUPTED = "the closing was interrupted and the jaws apply 0 N; " + AFTER_INTERRUPTION
+    INTERRUPTED_IN_FAULT = "the closing was interrupted and the jaws apply 0 N; clear, and " + AFTER_INTERRUPTION
     GIVE_WIDTH_OR_FORCE = "give a width, a force or both"
     GIVE_WIDTH = "nothing is held: give the width the jaws shall move to"
-    WOULD_DROP = "an object is held and opening would drop it; use release"
+    WOULD_DROP = "an object is held and opening would drop it; support it, then use release"
     NO_FAULT = "no fault is latched"
-    BEING_PUT_DOWN = "the object is being put down; clear when the arm stands, or release"
+    BEING_PUT_DOWN = "the object is being put down; clear when the arm stands"
     CAUSE_PERSISTS = "the cause persists: {fault}"
     HOLD_UNKNOWN = "the gripper is not connected, so it is unknown what it holds"
     HOLD_UNKNOWN_YET = "the gripper is moving, so it is unknown what it will hold; retry in a moment"
@@ -150,6 +152,7 @@ class FaultCode(StrEnum):
     GRIPPER_SILENT = "gripper silent"
     GRIPPER_FAULT = "gripper fault"
     GRIPPER_STUCK = "gripper stuck"
+    NOT_RELEASED = "not released"
     ARM_SILENT = "arm silent"
     ARM_STOPPED = "arm in protective stop"
     ARM_EMERGENCY = "arm in emergency stop"

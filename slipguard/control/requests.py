@@ -51,7 +51,7 @@ def _gripper_unfit(gripper: GripperState | None) -> Message | None:
 
 def _grasp(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
     if state.phase is not Phase.IDLE:
-        busy = Text.NOT_IN_PHASE.message(verb="grasp", phase=state.phase, hint="release first")
+        busy = Text.NOT_IN_PHASE.message(verb="grasp", phase=state.phase, hint="support the object, then release it")
         return _refuse(state, output, _latched(state) or busy)
     gripper, requested_limit_n = observation.gripper, observation.request.force_limit_n
     if (why := _gripper_unfit(gripper)) is not None:
@@ -226,7 +226,7 @@ def _gripper(state: GraspState, output: StepOutput, observation: Observation, pa
             text.message(width_mm=request.width_mm, force_n=force_n)
         )
     if state.phase in (Phase.CLOSING, Phase.RELEASED, Phase.FAULT):
-        busy = Text.NOT_IN_PHASE.message(verb="move the jaws", phase=state.phase, hint="wait, or release")
+        busy = Text.NOT_IN_PHASE.message(verb="move the jaws", phase=state.phase, hint="wait until that has ended")
         return _refuse(state, output, _latched(state) or busy)
     if request.width_mm is not None and request.width_mm > gripper.width_mm:
         return _refuse(state, output, Text.WOULD_DROP.message())
@@ -239,14 +239,28 @@ def _gripper(state: GraspState, output: StepOutput, observation: Observation, pa
     return state.with_target(target_n, observation.now_s), output.with_messages(message)
 
 
+def _is_empty_though_inactive(observation: Observation) -> bool:
+    """Return whether a gripper without a fault only has to be activated: it was opened, or no finger sees contact."""
+    gripper, fused = observation.gripper, observation.fused
+    if gripper is None or gripper.active or gripper.fault is not None:
+        return False
+    return gripper.auto_released or (fused is not None and fused.left_contact is fused.right_contact is False)
+
+
 def _clear(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
-    """Leave FAULT for the phase that fits what the gripper holds."""
+    """Leave FAULT for the phase that fits what the gripper holds.
+
+    A gripper that is not active cannot say, and only leaves IDLE by an activation. So it counts as empty if no finger
+    sees contact.
+    """
     gripper, now_s = observation.gripper, observation.now_s
     if state.phase is not Phase.FAULT:
         return _refuse(state, output, Text.NO_FAULT.message())
     if state.arm.putting_down:
         return _refuse(state, output, Text.BEING_PUT_DOWN.message())
-    lasting = [fault for fault in observation.faults if fault.code not in CLEAR_ENDS]
+    inactive = _is_empty_though_inactive(observation)
+    ends = CLEAR_ENDS | {FaultCode.GRIPPER_FAULT} if inactive else CLEAR_ENDS
+    lasting = [fault for fault in observation.faults if fault.code not in ends]
     if lasting:
         return _refuse(state, output, Text.CAUSE_PERSISTS.message(fault=lasting[0]))
     if gripper is None:
@@ -256,7 +270,8 @@ def _clear(state: GraspState, output: StepOutput, observation: Observation, para
     if gripper.moving and not gripper.holding:
         return _refuse(state, output, Text.HOLD_UNKNOWN_YET.message())
     if not gripper.holding:
-        return state.emptied(Phase.IDLE, now_s), output.with_messages(Text.CLEARED_EMPTY.message())
+        text = Text.CLEARED_INACTIVE if inactive else Text.CLEARED_EMPTY
+        return state.emptied(Phase.IDLE, now_s), output.with_messages(text.message(hint=ACTIVATION_HINT))
     if state.hands_off.closing_interrupted:
         state = replace(state.emptied(Phase.IDLE, now_s), hands_off=HandsOff(closing_interrupted=True))
         return state, output.with_messages(Text.CLEARED_INTERRUPTED.message())

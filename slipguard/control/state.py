@@ -166,10 +166,23 @@ class ArmMotion:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """A release in progress, in RELEASED. arm_may_move: the arm has not reported since the request that it stands."""
+    """A release in progress, in RELEASED.
+
+    Args:
+        width_mm: requested.
+        arm_may_move: the arm has not reported since the request that it stands.
+        held: something may have been held when it was requested.
+        from_mm: the narrowest width of the jaws since the request. to_mm: the widest since then, reached at widened_s.
+        opened_s: since when the gripper reports that they are open and at rest; None: it does not.
+    """
 
     width_mm: float
     arm_may_move: bool = False
+    held: bool = True
+    from_mm: float = math.inf
+    to_mm: float = math.inf
+    widened_s: float = -math.inf
+    opened_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

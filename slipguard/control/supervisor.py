@@ -180,7 +180,7 @@ def _gripper(memory: Supervision, observation: Observation, params: GuardParams)
         return Fault(
             FaultCode.GRIPPER_FAULT,
             f"the gripper reports: {gripper.fault or 'not activated'}",
-            "support the object, then release: that activates the gripper, and its jaws open and close fully",
+            "support the object, then release: the jaws open slowly, and do not close",
         )
     return None
 
@@ -246,7 +246,7 @@ def _untrusted(memory: Supervision, state: GraspState, observation: Observation,
     return Fault(
         FaultCode.ESTIMATE_UNTRUSTED,
         f"for {timeout_s:g} s: {memory.untrusted}",
-        "check both fingers; clear takes a new reference, release opens the jaws",
+        "check both fingers, then clear, which takes a new reference",
     )
 
 

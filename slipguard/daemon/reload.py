@@ -77,7 +77,7 @@ def refusal_reason(change: ConfigChange, new: Config, grip: CurrentGrip) -> str 
     if grip.slipping:
         return "not possible while the object slips"
     if change.key == "guard.force_max_n" and new.guard.force_max_n < grip.force_n:
-        return f"the object is held with {grip.force_n:.0f} N; release it first"
+        return f"the object is held with {grip.force_n:.0f} N; support it, then release it"
     return None
 
 

@@ -78,9 +78,10 @@ def check_round_trips(trips_s: list[float], lost: int) -> CheckResult:
 def check_state(state: GripperState) -> Iterator[CheckResult]:
     """Check the state that the gripper reports."""
     if state.fault is not None:
-        yield problem("condition", f"fault: {state.fault}", "hold the object by hand, then run `slipguard ctl release`")
+        yield problem("condition", f"fault: {state.fault}", ACTIVATION_HINT)
     elif not state.active:
-        yield note("condition", "not activated", ACTIVATION_HINT)
+        observed = "opened by an automatic release" if state.auto_released else "not activated"
+        yield note("condition", observed, ACTIVATION_HINT)
     else:
         activity = "moving" if state.moving else "holding something" if state.holding else "at rest"
         if state.closed_on_nothing:

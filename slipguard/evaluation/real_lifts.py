@@ -244,5 +244,5 @@ def _final_state(service: Service, stopped: bool) -> str:
     """Return what the operator must know and do, "" if nothing is held and the arm is stopped."""
     arm = "the arm is stopped" if stopped else "the arm could not be stopped: use its stop button"
     if service.phase in AT_STAKE or service.phase is Phase.FAULT:
-        return f"; {arm} and the grip is kept. To release, start `slipguard run`, then `slipguard ctl release`"
+        return f"; {arm} and the grip is kept: start `slipguard run`, support the object, then `slipguard ctl release`"
     return "" if stopped else f"; {arm}"

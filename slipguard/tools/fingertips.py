@@ -96,7 +96,9 @@ class FingertipMeasurement:
 def check_ready(state: State) -> None:
     """Raise CommandRefused unless the jaws are open and empty, and both fingers see that."""
     if state["phase"] != "idle":
-        raise CommandRefused(f"the jaws must be empty, and the phase is {state['phase']}; release first")
+        raise CommandRefused(
+            f"the jaws must be empty, and the phase is {state['phase']}; support what they hold, then release"
+        )
     for name in DEVICES:
         if state["devices"][name]["state"] != "ready":
             raise CommandRefused(f"{name} is not ready: {state['devices'][name]['reason']}")

@@ -76,7 +76,7 @@ def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_pat
 def test_not_while_something_is_held(tmp_path: Path) -> None:
     async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
         await cell.grasp()
-        with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
+        with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
             await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
         assert len(store.background_versions("SIM-L")) == 2
 

@@ -71,16 +71,16 @@ def test_it_is_refused_while_something_is_or_may_be_touched() -> None:
         assert cell.world is not None
         await cell.ready()
         await cell.submit(GraspRequest())
-        with pytest.raises(CommandRefused, match="cannot calibrate while closing; release first"):
+        with pytest.raises(CommandRefused, match="cannot calibrate while closing; support the object, then release it"):
             await cell.submit(CalibrateRequest())
         await cell.until(cell.steady)
-        with pytest.raises(CommandRefused, match="cannot calibrate while holding; release first"):
+        with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
             await cell.submit(CalibrateRequest())
         await cell.release()
         cell.world.clear(cell.now_s)
         await cell.submit(GraspRequest())
         await cell.until(lambda: cell.phase is Phase.IDLE)
-        with pytest.raises(CommandRefused, match="open the jaws first"):
+        with pytest.raises(CommandRefused, match="open the jaws"):
             await cell.submit(CalibrateRequest())
         await cell.release()
         await asyncio.sleep(0.2)
@@ -109,7 +109,9 @@ def test_it_is_refused_while_the_gripper_is_held_by_another_program() -> None:
         await cell.until(lambda: cell.truth.in_contact)
         await asyncio.sleep(0.3)
         assert cell.phase is Phase.IDLE
-        with pytest.raises(CommandRefused, match="is moving, holding or closed; open the jaws first"):
+        with pytest.raises(
+            CommandRefused, match="is moving, holding or closed; support what it holds, then open the jaws"
+        ):
             await cell.submit(CalibrateRequest())
 
     play(Cell(guard={"mode": "guard"}), scene)

@@ -15,7 +15,14 @@ from sampled import sampled
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
-from slipguard.daemon.api.requests import ClearRequest, GraspRequest, LiftRequest, LowerRequest, MoveJawsRequest
+from slipguard.daemon.api.requests import (
+    ClearRequest,
+    GraspRequest,
+    LiftRequest,
+    LowerRequest,
+    MoveJawsRequest,
+    ReleaseRequest,
+)
 from slipguard.errors import CommandRefused
 
 BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
@@ -232,7 +239,7 @@ async def declining(cell: Cell) -> None:
     await cell.until(lambda: cell.phase is Phase.FAULT)
 
 
-@pytest.mark.parametrize("reach", [Cell.ready, closing, referencing, lifting, holding, lowering, faulty, declining])
+@pytest.mark.parametrize("reach", [Cell.ready, closing, referencing, lifting, holding, lowering, faulty])
 def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
     async def scene(cell: Cell) -> None:
         await reach(cell)
@@ -241,6 +248,28 @@ def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
         moving_mm = cell.truth.height_mm
         await asyncio.sleep(0.2)
         assert cell.truth.height_mm == moving_mm
+
+    play(Cell("wrench", 1, guard=BRISK), scene)
+
+
+def test_without_cameras_the_jaws_open_but_no_finger_sees_the_object_go() -> None:
+    async def scene(cell: Cell) -> None:
+        assert cell.world is not None
+        await declining(cell)
+        await cell.submit(ReleaseRequest(confirm=True))
+        await cell.until(lambda: cell.phase is not Phase.FAULT)
+        await cell.until(lambda: cell.phase is Phase.FAULT)
+        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
+        fault = cell.service.state.fault
+        assert fault is not None
+        assert fault.code is FaultCode.NOT_RELEASED
+        assert "no finger can see whether the object is out" in fault.observed
+        for finger in ("left", "right"):
+            cell.world.faults.repair(finger, "disconnect")
+        await cell.until(lambda: not cell.service.waiting_for)
+        await asyncio.sleep(0.5)
+        await cell.submit(ClearRequest())
+        assert cell.phase is Phase.IDLE
 
     play(Cell("wrench", 1, guard=BRISK), scene)
 

@@ -204,7 +204,7 @@ def test_declining_the_release_keeps_the_grip_and_the_question_reports_a_failed_
         SlipguardError, match=r"stopped before the release; the arm is stopped and the grip is kept"
     ) as error:
         run_virtual(bench.run())
-    assert "start `slipguard run`, then `slipguard ctl release`" in str(error.value)
+    assert "start `slipguard run`, support the object, then `slipguard ctl release`" in str(error.value)
     assert "not analyzed (the recording is empty)" in bench.asked[1]
     assert abs(bench.lifted_mm) < 1.0
     assert bench.holds()

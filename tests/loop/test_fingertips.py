@@ -164,7 +164,7 @@ def test_the_measurement_confirms_a_right_setting_and_refuses_a_held_object() ->
     async def held(cell: Cell) -> None:
         await cell.ready()
         await cell.grasp()
-        with pytest.raises(CommandRefused, match="release first"):
+        with pytest.raises(CommandRefused, match="support what they hold, then release"):
             await measure(cell, [])
         assert cell.truth.in_contact
 

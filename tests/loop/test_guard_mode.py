@@ -78,7 +78,7 @@ def test_another_program_never_undercuts_the_guard() -> None:
         assert guarded_n > GRIP_N + 5.0
         response = await cell.submit(MoveJawsRequest(force_n=25.0))
         assert f"{guarded_n:.0f} N" in response
-        with pytest.raises(CommandRefused, match="opening would drop it; use release"):
+        with pytest.raises(CommandRefused, match="opening would drop it; support it, then use release"):
             await cell.submit(MoveJawsRequest(width_mm=80.0, force_n=25.0))
         with pytest.raises(CommandRefused, match="force limit of 130 N"):
             await cell.submit(MoveJawsRequest(force_n=200.0))

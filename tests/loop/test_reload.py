@@ -110,7 +110,7 @@ def test_a_force_limit_below_the_present_grip_is_refused_with_the_whole_file() -
         line = cell.service.event_log.lines[-1]
         assert line == (
             "configuration not reloaded, the old one stays in use: guard.force_max_n: 130.0 -> 35.0 "
-            f"the object is held with {held_n:.0f} N; release it first"
+            f"the object is held with {held_n:.0f} N; support it, then release it"
         )
         await cell.release()
         assert await reloader(cell, lambda: config(guard=low)).reload()

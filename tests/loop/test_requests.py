@@ -78,7 +78,7 @@ def test_two_requests_at_once_are_answered_in_order() -> None:
         twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)
         assert str(twice[0]).startswith("closing with")
         assert isinstance(twice[1], CommandRefused)
-        assert str(twice[1]) == "cannot grasp while closing; release first"
+        assert str(twice[1]) == "cannot grasp while closing; support the object, then release it"
 
     play(Cell(), scene)
 

@@ -11,7 +11,7 @@ from loop_cell import Cell, play
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api import handlers
-from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, MoveJawsRequest
+from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import CommandRefused, DeviceTimeout
@@ -50,10 +50,22 @@ def test_refused_while_an_object_is_held_and_the_gripper_was_switched_off_and_on
         assert cell.world is not None
         cell.world.gripper_activated = False
         await cell.until(lambda: cell.phase is Phase.FAULT)
-        with pytest.raises(CommandRefused, match="would drop"):
+        with pytest.raises(CommandRefused, match="would close on a held object and drop it"):
             await cell.submit(CONFIRMED)
         await asyncio.sleep(1.0)
         assert cell.truth.in_contact
+        width_mm, force_n = cell.width_mm, cell.truth.force_n
+        await cell.submit(ReleaseRequest(confirm=True))
+        while cell.phase is not Phase.IDLE:
+            await asyncio.sleep(0.01)
+            assert cell.width_mm >= width_mm
+            assert cell.truth.force_n <= force_n
+            width_mm, force_n = cell.width_mm, cell.truth.force_n
+        assert width_mm == 85.0
+        assert "must be activated" in cell.service.event_log.lines[-1]
+        cell.world.clear(cell.now_s)
+        assert "activated" in str(await cell.submit(CONFIRMED))
+        await cell.submit(MoveJawsRequest(width_mm=50.0))
 
     play(Cell(), scene)
 

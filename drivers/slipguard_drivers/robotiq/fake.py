@@ -108,7 +108,7 @@ class FakeGripper(Gripper):
             self._check_ready()
             state = self._state(now_s)
             if state.holding:
-                raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
+                raise CommandRefused(f"{self._name}: an object is held and would fall; support it, then use release")
             if state.moving and self._goal_mm < state.width_mm and width_mm > self._goal_mm:
                 raise CommandRefused(
                     f"{self._name}: the fingers are closing and may hold an object; try again when they are at rest"

@@ -268,7 +268,7 @@ class RobotiqGripper(Gripper):
         async with self._exclusive(deadline_s):
             status = await self._ready_status(deadline_s)
             if self._jaws.holding:
-                raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
+                raise CommandRefused(f"{self._name}: an object is held and would fall; support it, then use release")
             closing = self._jaws.moving and status.position_echo > status.position
             if closing and position < status.position_echo:
                 raise CommandRefused(
@@ -323,7 +323,7 @@ class RobotiqGripper(Gripper):
             if status.ready and status.fault is None:
                 raise CommandRefused(f"{self._name}: the gripper is already activated")
             if self._jaws.holding:
-                raise CommandRefused(f"{self._name}: an object is held and would fall; use release to open")
+                raise CommandRefused(f"{self._name}: an object is held and would fall; support it, then use release")
             await self._reset_and_activate(deadline_s)
 
     async def _reset_and_activate(self, deadline_s: float) -> None:

@@ -82,7 +82,7 @@ class GripperAction:
         gripper = self._fill(result, self._gripper())
         if gripper["holding"] and width_mm > gripper["width_mm"] + TOLERANCE_MM:
             if not self._open_releases:
-                reason = "an object is held and would drop; call the service ~/release, or set open_releases"
+                reason = "an object is held and would drop; support it, then call ~/release, or set open_releases"
                 raise RequestRefused(reason)
             self._api.submit("release", {"confirm": True, "width_mm": width_mm})
         else:

@@ -150,10 +150,12 @@ class BackgroundCapture:
     def _check_idle(self) -> None:
         service = self._service
         if service.phase is not Phase.IDLE:
-            raise CommandRefused(f"cannot calibrate while {service.phase}; release first")
+            raise CommandRefused(f"cannot calibrate while {service.phase}; support the object, then release it")
         gripper = service.gripper.newest
         if gripper is not None and (gripper.holding or gripper.moving or gripper.closed_on_nothing):
-            raise CommandRefused("cannot calibrate: the gripper is moving, holding or closed; open the jaws first")
+            raise CommandRefused(
+                "cannot calibrate: the gripper is moving, holding or closed; support what it holds, then open the jaws"
+            )
         missing = [name for name, finger in service.fingers.items() if not finger.health.ready]
         if missing:
             raise CommandRefused(f"cannot calibrate: no frames from {' and '.join(missing)}; check the sensors")

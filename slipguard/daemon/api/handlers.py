@@ -144,8 +144,8 @@ class RequestHandlers(DaemonApi):
             reason = None if request.force else await self._capture.may_hold_reason()
         if reason is not None:
             raise CommandRefused(
-                f"cannot activate: {reason}, and a held object would drop; remove it and check the sensors, or use "
-                "--force if the jaws are empty, with the gels covered or taken off"
+                f"cannot activate: {reason}, and the jaws would close on a held object and drop it; support it, then "
+                "release it, and check the sensors. Use --force only if the jaws are empty, with the gels covered"
             )
         await self._service.request(controller_request(request), deadline_s)
         return await self._wait_until_active()

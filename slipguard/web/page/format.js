@@ -109,7 +109,8 @@ function waitingTexts(state) {
 /** Describe the gripper's state in a few words. */
 export function gripperText(gripper) {
   if (gripper.fault) return `fault: ${gripper.fault}`;
-  if (!gripper.active && gripper.moving) return "being activated: the jaws open and close fully";
+  if (gripper.auto_released) return "opened by an automatic release; next: slipguard ctl activate";
+  if (!gripper.active && gripper.moving) return "not active yet, moving: the jaws may open and close fully";
   if (!gripper.active) return "not activated: slipguard ctl activate";
   const width = `jaws ${plain(gripper.width_mm)} mm apart`;
   if (gripper.moving) return `moving, ${width}`;

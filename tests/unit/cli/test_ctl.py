@@ -109,7 +109,9 @@ async def test_an_activation_says_what_it_does_and_needs_confirmation(daemon: Fa
 
 async def test_the_fingertips_are_measured_with_empty_jaws_only(daemon: FakeDaemonApi, tmp_path: Path) -> None:
     assert (await ctl(daemon, tmp_path, "fingertips", typed="n\n"))[0] == 1
-    with pytest.raises(CommandRefused, match="the jaws must be empty, and the phase is holding; release first"):
+    with pytest.raises(
+        CommandRefused, match="the jaws must be empty, and the phase is holding; support what they hold"
+    ):
         await ctl(daemon, tmp_path, "fingertips", "--yes")
     assert daemon.requests == []
 

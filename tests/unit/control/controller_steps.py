@@ -65,6 +65,8 @@ class Play:
         self.view = fused(None, contact=False, shift_mm=None)
         self.commands: list[StepOutput] = []
         self.lazy = False
+        self.opens = True
+        """Whether a release has an effect."""
 
     def step(self, kind: RequestKind = RequestKind.NONE, **values: float) -> StepOutput:
         self.now_s += 0.02
@@ -77,8 +79,10 @@ class Play:
         self.commands.append(command)
         if command.hold_force_n is not None:
             self.jaws = changed(self.jaws, force_n=command.hold_force_n, holding=True)
-        if released_mm(command) is not None:
-            self.jaws = changed(self.jaws, force_n=0.0, holding=False)
+        if released_mm(command) is not None and self.opens:
+            width_mm = self.jaws.width_mm + 20.0
+            self.jaws = changed(self.jaws, force_n=0.0, holding=False, width_mm=width_mm)
+            self.view = fused(None, contact=False, shift_mm=None)
         if isinstance(command.arm, LiftArm):
             self.here = changed(self.here, height_mm=self.here.height_mm + command.arm.height_mm)
         return command

@@ -30,7 +30,7 @@ def test_an_empty_gripper_is_activated_on_request_only() -> None:
 def test_refused_while_an_object_may_be_held(phase: Phase) -> None:
     output = requested(phase, gripper=changed(OFF, moving=True))
     assert output.gripper != ActivateGripper()
-    assert "would drop" in str(output.refusal)
+    assert "would close on it and drop it" in str(output.refusal)
     assert "slipguard ctl release" in str(output.refusal)
 
 

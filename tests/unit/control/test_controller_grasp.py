@@ -11,7 +11,7 @@ from slipguard.control.control_step import step
 from slipguard.control.messages import LiftArm, RequestKind
 from slipguard.control.params import GuardParams
 from slipguard.control.phases import NOTHING_S
-from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 
 
@@ -38,7 +38,7 @@ def test_grasp_lift_hold_lower_release() -> None:
     assert play.grasp.phase is Phase.HOLDING
     command = play.step(RequestKind.RELEASE)
     assert released_mm(command) == 85.0
-    play.step()
+    play.steps(0.04)
     assert play.grasp.phase is Phase.IDLE
     assert play.grasp.grip.target_n == 0.0
     opened = [command for command in play.commands if released_mm(command) is not None]
@@ -69,8 +69,10 @@ def test_closing_on_nothing_ends_idle_and_not_closing_ends_in_a_fault() -> None:
     play.step(RequestKind.GRASP)
     play.jaws = changed(play.jaws, holding=False, moving=True)
     play.steps(5.2)
-    what_to_do = "check the jaws and the gripper's cable, then clear"
-    assert play.grasp.fault == Fault(FaultCode.GRIPPER_STUCK, "not closed on an object within 5 s", what_to_do)
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
+    assert play.grasp.fault.observed == "not closed on an object within 5 s"
+    assert play.grasp.fault.what_to_do.startswith("keep your hands out of the jaws, which may still close")
 
 
 def test_jaws_that_stand_apart_without_an_object_are_a_named_fault_that_can_be_cleared() -> None:
@@ -212,10 +214,10 @@ def test_a_lost_release_command_is_repeated_and_then_given_up() -> None:
         now_s = NOW_S + 0.02 * number
         state, command = step(state, observation(now_s, gripper=gripper(40.0, at_s=now_s)), PARAMS)
         opened += released_mm(command) is not None
-    assert opened > 10
+    assert opened > 5
     assert state.phase is Phase.FAULT
     assert state.fault is not None
-    assert state.fault.code is FaultCode.GRIPPER_STUCK
+    assert state.fault.code is FaultCode.NOT_RELEASED
     _, command = step(state, observation(NOW_S + 5.0, gripper=gripper(40.0)), PARAMS)
     assert released_mm(command) is None  # one request does not open the jaws for ever
 

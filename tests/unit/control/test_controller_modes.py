@@ -105,7 +105,7 @@ def test_another_program_tightens_but_never_loosens() -> None:
     assert play.step(RequestKind.GRIPPER, width_mm=0.0, force_n=80.0).hold_force_n == pytest.approx(80.0, abs=0.85)
     held_n = play.grasp.grip.target_n
     assert play.step(RequestKind.GRIPPER, width_mm=0.0, force_n=30.0).hold_force_n == held_n
-    assert "use release" in str(play.step(RequestKind.GRIPPER, width_mm=60.0).refusal)
+    assert "support it, then use release" in str(play.step(RequestKind.GRIPPER, width_mm=60.0).refusal)
     assert "give a width, a force or both" in str(play.step(RequestKind.GRIPPER).refusal)
 
 

@@ -92,7 +92,7 @@ slip down      | hold stop     | hold stop     | -        | hold
 rotates back   | -             | -             | -        | -
 fault          | fault stop    | fault stop    | -        | -
 no devices     | -             | -             | -        | stop
-on nothing     | -             | -             | idle     | -
+on nothing     | -             | -             | open     | -
 stop, rotating | stop          | stop          | -        | -
 """,
 )

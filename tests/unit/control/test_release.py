@@ -1,4 +1,7 @@
-"""Release: the arm stands first, the jaws open in any case, and nothing tightens the object meanwhile."""
+"""Release: the arm stands first, the jaws open in any case, and nothing tightens the object meanwhile.
+
+It counts as released only if the gripper, the width and the fingers say so together.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,14 @@ from controller_steps import GUARD_MODE, NOW_S, PARAMS, Play, seen_in, state_in
 from observations import arm, ask, fused, gripper, observation
 from records import changed, released_mm
 
-from slipguard.control.control_step import step
-from slipguard.control.messages import LiftArm, RequestKind, StepOutput, StopArm
+from slipguard.control.control_step import ControlState, step
+from slipguard.control.finger_fusion import FusedEstimate
+from slipguard.control.messages import ActivateGripper, LiftArm, RequestKind, StepOutput, StopArm
 from slipguard.control.params import GuardParams
 from slipguard.control.release import OPEN_ANYWAY_S
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
+from slipguard.devices import GripperState
 
 
 def lifting(params: GuardParams = PARAMS) -> Play:
@@ -47,7 +52,7 @@ def test_the_jaws_open_when_the_arm_stands(params: GuardParams) -> None:
     command = play.step()
     assert released_mm(command) == 85.0
     assert command.arm is None
-    play.step()
+    play.steps(0.04)
     assert play.grasp.phase is Phase.IDLE
 
 
@@ -115,7 +120,7 @@ def stuck() -> Play:
         play.jaws = gripper(40.0)
         play.step()
     assert play.grasp.fault is not None
-    assert play.grasp.fault.code is FaultCode.GRIPPER_STUCK
+    assert play.grasp.fault.code is FaultCode.NOT_RELEASED
     return play
 
 
@@ -155,3 +160,123 @@ def test_nothing_is_guarded_again_where_nothing_is_held(jaws: object) -> None:
     play.jaws = jaws  # type: ignore[assignment]
     assert "nothing is held" in str(play.step(RequestKind.GUARD_ON).refusal)
     assert play.grasp.hands_off.release_requested
+
+
+OPENED = gripper(0.0, holding=False, width_mm=80.0)
+CLOSED = gripper(0.0, holding=False, width_mm=30.0)
+CLEAR, TOUCH, BLIND = (False, False), (True, False), (None, None)
+OUTCOMES = [
+    # what the gripper reports after a release of an object 30 mm wide, contact of the fingers; whether it is released
+    (OPENED, CLEAR, True),
+    (OPENED, (False, None), True),
+    (OPENED, TOUCH, False),
+    (OPENED, (None, True), False),
+    (OPENED, BLIND, False),
+    (CLOSED, CLEAR, False),
+    (changed(OPENED, holding=True), CLEAR, False),
+    (changed(OPENED, active=False), CLEAR, False),
+    (changed(OPENED, fault="overcurrent"), CLEAR, False),
+    (changed(CLOSED, active=False), CLEAR, False),
+    (changed(OPENED, active=False, auto_released=True), CLEAR, True),
+    (changed(OPENED, active=False, auto_released=True), TOUCH, False),
+    (changed(OPENED, active=False, auto_released=True), BLIND, False),
+    (changed(CLOSED, active=False, auto_released=True), CLEAR, False),
+    (changed(CLOSED, moving=True), CLEAR, False),
+    (None, CLEAR, False),
+]
+
+
+def seen(contacts: tuple[bool | None, bool | None]) -> FusedEstimate:
+    return changed(fused(None, contact=False, shift_mm=None), left_contact=contacts[0], right_contact=contacts[1])
+
+
+@pytest.mark.parametrize(("jaws", "contacts", "is_out"), OUTCOMES)
+@pytest.mark.parametrize("phase", [phase for phase in Phase if phase is not Phase.RELEASED])
+def test_what_counts_as_released(
+    phase: Phase, jaws: GripperState | None, contacts: tuple[bool | None, bool | None], is_out: bool
+) -> None:
+    play = Play(guard=ControlState(state_in(phase)))
+    play.now_s, play.jaws, play.view, play.opens = NOW_S, gripper(40.0, width_mm=30.0), fused(), False
+    play.step(RequestKind.RELEASE)
+    play.jaws, play.view = jaws, seen(contacts)
+    said = [message.name for command in play.steps(2.2) for message in command.messages]
+    assert ("released" in said) is is_out
+    assert play.grasp.phase is (Phase.IDLE if is_out else Phase.FAULT)
+    if not is_out:
+        assert play.grasp.fault is not None
+        assert play.grasp.fault.code is FaultCode.NOT_RELEASED
+        assert play.grasp.hands_off.release_requested
+
+
+def test_the_fault_says_what_is_known() -> None:
+    play = Play().held()
+    play.jaws, play.opens = changed(play.jaws, width_mm=30.0), False
+    play.step(RequestKind.RELEASE)
+    play.jaws, play.view = OPENED, seen(TOUCH)
+    play.steps(2.2)
+    assert play.grasp.fault is not None
+    assert play.grasp.fault.observed == "the jaws report 80 mm, 30 mm before; the left finger still sees contact"
+
+
+def test_a_contact_that_was_seen_before_the_jaws_were_open_does_not_count() -> None:
+    play = Play().held()
+    play.jaws, play.opens = changed(play.jaws, width_mm=30.0), False
+    play.step(RequestKind.RELEASE)
+    play.jaws, play.view = OPENED, changed(seen(CLEAR), measured_at_s=play.now_s, captured_at_s=play.now_s)
+    play.lazy = True
+    play.steps(0.2)
+    assert play.grasp.phase is Phase.RELEASED
+    play.lazy = False
+    play.steps(0.04)
+    assert play.grasp.phase is Phase.IDLE
+
+
+def test_a_slow_release_has_time_as_long_as_the_jaws_become_wider() -> None:
+    play = Play().held()
+    play.jaws, play.opens = gripper(0.0, holding=False, active=False, width_mm=30.0), False
+    play.step(RequestKind.RELEASE)
+    for width_mm in range(31, 84):
+        play.jaws = gripper(0.0, holding=False, active=False, moving=True, width_mm=float(width_mm))
+        play.steps(0.1)
+        assert play.grasp.phase is Phase.RELEASED
+    play.jaws, play.view = changed(play.jaws, moving=False, auto_released=True), seen(CLEAR)
+    play.steps(0.04)
+    assert play.grasp.phase is Phase.IDLE
+    assert "must be activated" in (play.commands[-1].text or "") + (play.commands[-2].text or "")
+
+
+@pytest.mark.parametrize(("width_mm", "seconds"), [(85.0, 0.06), (50.0, 2.2)], ids=["wide open", "at their limit"])
+def test_where_nothing_was_held_open_jaws_are_enough(width_mm: float, seconds: float) -> None:
+    play = Play()
+    play.jaws, play.view, play.opens = gripper(0.0, holding=False, width_mm=width_mm), seen(BLIND), False
+    play.steps(0.1)
+    play.step(RequestKind.RELEASE)
+    said = [command.text for command in play.steps(seconds) if command.text]
+    assert said == [f"nothing was held; the jaws are {width_mm:.0f} mm apart"]
+    assert play.grasp.phase is Phase.IDLE
+
+
+@pytest.mark.parametrize(
+    ("jaws", "contacts", "cleared"),
+    [
+        (changed(CLOSED, active=False), CLEAR, True),
+        (changed(CLOSED, active=False), TOUCH, False),
+        (changed(CLOSED, active=False), (False, None), False),
+        (changed(CLOSED, active=False, auto_released=True), TOUCH, True),
+        (changed(CLOSED, fault="overcurrent"), CLEAR, False),
+    ],
+)
+def test_a_gripper_that_is_not_active_is_cleared_only_where_it_is_empty(
+    jaws: GripperState, contacts: tuple[bool | None, bool | None], cleared: bool
+) -> None:
+    """It can only be activated in IDLE, so there must be a way there."""
+    play = Play(guard=ControlState(state_in(Phase.FAULT)))
+    play.now_s, play.jaws, play.view = NOW_S, jaws, seen(contacts)
+    play.step()
+    command = play.step(RequestKind.CLEAR)
+    assert (play.grasp.phase is Phase.IDLE) is cleared
+    assert ("slipguard ctl activate" in (command.text or "")) is cleared
+    assert (command.refusal is None) is cleared
+    if cleared:
+        activation = play.step(RequestKind.ACTIVATE)
+        assert activation.gripper == ActivateGripper()

@@ -8,9 +8,9 @@ from controller_steps import NOW_S, PARAMS, PRIMED, seen_in, state_in
 from observations import arm, ask, gripper, observation
 from records import grasp_state
 
+from slipguard.control.arm_motion import REPEAT_S
 from slipguard.control.control_step import step
 from slipguard.control.messages import RequestKind, StopArm
-from slipguard.control.release import REPEAT_S
 from slipguard.control.state import Phase, Release, RememberedGrip
 from slipguard.control.supervisor import Supervision, supervise
 

@@ -55,7 +55,7 @@ class TextGripper(Gripper):
         async with self._one_command:
             state = await self.state()
             if state.holding:
-                raise CommandRefused(f"{self._name}: an object is held and would fall; use release")
+                raise CommandRefused(f"{self._name}: an object is held and would fall; support it, then use release")
             if state.moving and self._goal_mm < min(goal_mm, state.width_mm):
                 raise CommandRefused(f"{self._name}: the fingers are closing; wait until they stop")
             self._goal_mm = goal_mm
@@ -67,7 +67,7 @@ class TextGripper(Gripper):
 
     async def release(self, width_mm: float) -> None:
         async with self._one_command:
-            self._goal_mm = min(self._checked(width_mm), STROKE_MM)
+            self._goal_mm = min(max(self._checked(width_mm), (await self.state()).width_mm + 5.0), STROKE_MM)
             await self._link.ask(f"open {self._goal_mm}")
 
     async def close(self) -> None:  # the grip stays
