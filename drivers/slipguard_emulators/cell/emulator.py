@@ -25,7 +25,7 @@ from slipguard_emulators.cell.truth_log import CellTruthLog, line_of
 from slipguard_emulators.cell.world_jaws import WorldJaws
 from slipguard_emulators.robotiq.emulator import FAULTS as GRIPPER_FAULTS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
-from slipguard_emulators.ur5.controller import PAUSED
+from slipguard_emulators.ur5.controller import PAUSED, POWER_OFF
 from slipguard_emulators.ur5.emulator import UrEmulator
 from slipguard_emulators.ur5.faults import FAULTS as ARM_FAULTS
 from slipguard_emulators.ur5.tool import WorldTool
@@ -89,6 +89,13 @@ class CellEmulator(ControlledEmulator):
         activated: Annotated[
             bool, Field(description="The gripper is activated; default: as after power-on (`slipguard ctl activate`).")
         ] = False
+        gripper_power: Annotated[
+            Literal["own", "wrist"],
+            Field(
+                description="Its 24 V: an own supply, or the robot's wrist, where they are off while the arm is off, "
+                "also in an emergency stop."
+            ),
+        ] = "own"
         robot_on: Annotated[
             bool,
             Field(description="The robot is switched on, in remote control; default: off (`arm panel on`)."),
@@ -155,6 +162,7 @@ class CellEmulator(ControlledEmulator):
             ) from None
         await self.gripper.start()
         await self.arm.start()
+        self._power_gripper()
         self.places.config.write_text(
             config_text(
                 self.places,
@@ -316,8 +324,20 @@ class CellEmulator(ControlledEmulator):
             self.log.append(entry)
             if self._report is not None and event["event"] in REPORTED:
                 self._report(entry)
+            if name == "arm" and event["event"] == "robot mode":
+                self._power_gripper()
 
         return log_event
+
+    def _power_gripper(self) -> None:
+        """Let the 24 V at the wrist follow the arm's power, if the gripper has it from there."""
+        if self.settings.gripper_power == "own":
+            return
+        powered = self.arm.controller.mode != POWER_OFF
+        if not powered:
+            self.gripper.set_fault("power")
+        elif self.gripper.faults.lasts("power"):
+            self.gripper.clear_fault("power")
 
     def _pass_on(self, part: ControlledEmulator) -> Callable[[list[str]], str]:
         return lambda rest: part.control(" ".join(rest or ["help"]))

@@ -187,7 +187,7 @@ class EmulatedController:
         self._stopped_at_s = now_s
         if state == "ROBOT_EMERGENCY_STOP":
             self.end("an emergency stop", now_s)
-            self.mode = POWER_OFF
+            self._set_mode(POWER_OFF)
         else:
             paused = self.pause(now_s, state.lower().replace("_", " "))
             self._continues = paused and state == "SAFEGUARD_STOP"
@@ -206,8 +206,11 @@ class EmulatedController:
         if self.safety != "ROBOT_EMERGENCY_STOP" and not (mode == IDLE and self.mode == RUNNING):
             if mode == POWER_OFF:
                 self.end("the arm was switched off", now_s)
-            self.mode = mode
-            self._note("robot mode", mode=mode)
+            self._set_mode(mode)
+
+    def _set_mode(self, mode: int) -> None:
+        self.mode = mode
+        self._note("robot mode", mode=mode)
 
     def cycle(self, now_s: float) -> None:
         """Execute one cycle of the running program."""

@@ -140,6 +140,23 @@ async def test_the_gripper_starts_as_after_power_on_unless_chosen_otherwise(acti
     await cell.gripper.stop()
 
 
+@pytest.mark.parametrize(("power", "lost"), [("own", 0), ("wrist", 1)])
+async def test_power_from_the_wrist_is_off_in_an_emergency_stop(power: str, lost: int, tmp_path: Path) -> None:
+    options = {"folder": tmp_path / "cell", "gripper_power": power, "activated": True, "robot_on": True}
+    cell = CellEmulator(CellEmulator.Settings.model_validate(options))
+    cell.places.make()
+    await cell.gripper.start()
+    cell._power_gripper()
+    assert cell.gripper.registers.stage is ActivationStage.READY
+    cell.control("fault arm.emergency_stop")
+    assert len(cell.gripper.events("power lost")) == lost
+    assert cell.gripper.faults.lasts("power") is bool(lost)
+    cell.control("clear arm.emergency_stop")
+    assert not cell.gripper.faults.lasts("power")
+    assert (cell.gripper.registers.stage is ActivationStage.OFF) is bool(lost)
+    await cell.gripper.stop()
+
+
 async def test_faults_start_with_the_name_of_their_part(tmp_path: Path) -> None:
     """Set before its start as well, when there is no folder for a port yet."""
     cell = CellEmulator(CellEmulator.Settings(folder=tmp_path / "cell"))
