@@ -129,15 +129,16 @@ class ReleaseRig:
         assert isinstance(self.emulator.jaws, SimpleJaws)
         return self.emulator.jaws
 
-    async def run(self, story: Callable[[ReleaseRig], Awaitable[None]]) -> None:
-        """Grip the object, then do what the story says."""
+    async def run(self, story: Callable[[ReleaseRig], Awaitable[None]], *, gripped: bool = True) -> None:
+        """Grip the object, or have the jaws open, then do what the story says."""
         await self.emulator.start()
         self.jaws.object_mm = self.object_mm
         tasks = [asyncio.create_task(self.actuator.run()), asyncio.create_task(self._cycles())]
         try:
             await self.until(lambda: self.actuator.newest is not None)
-            self.ask(RequestKind.GRASP)
-            await self.until(lambda: self.phase is Phase.HOLDING)
+            if gripped:
+                self.ask(RequestKind.GRASP)
+                await self.until(lambda: self.phase is Phase.HOLDING)
             await story(self)
             for task in tasks:
                 if task.done():
@@ -201,7 +202,7 @@ class ReleaseRig:
             self.control, output = control_step(self.control, view, GuardParams())
             touched = self._contacts[-1][1]
             for message in output.messages:
-                gained_mm = self.widths_mm[-1] - self.widths_mm[0]
+                gained_mm = self.widths_mm[-1] - min(self.widths_mm)
                 self.reports.append(Report(message.name, message.text, gained_mm, touched, view.gripper))
             match output.gripper:
                 case HoldForce(force_n=force_n):

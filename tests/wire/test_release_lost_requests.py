@@ -5,11 +5,13 @@ The jaws never close, and "released" is never reported while an object is held.
 
 from __future__ import annotations
 
+import asyncio
+import math
 from collections.abc import Awaitable, Callable
 from itertools import combinations
 
 import pytest
-from release_rig import ReleaseRig, check_never_narrower, check_reports
+from release_rig import CYCLE_S, ReleaseRig, check_never_narrower, check_reports
 
 from slipguard.control.messages import RequestKind
 from slipguard.control.reports import FaultCode
@@ -104,6 +106,25 @@ def test_the_jaws_never_close_and_released_is_true(model: str, state: str) -> No
             assert [one.name for one in rig.reports].count("released") == 1, lost
         elif not lost:
             assert rig.phase is Phase.FAULT
+
+
+@pytest.mark.parametrize("cycles", range(2, 13))
+def test_released_is_true_while_the_jaws_close_too(cycles: int) -> None:
+    """They may not have moved yet, or have met the object a moment ago."""
+
+    async def story(rig: ReleaseRig) -> None:
+        rig.ask(RequestKind.GRASP)
+        await asyncio.sleep(cycles * CYCLE_S)
+        assert rig.phase is not Phase.IDLE
+        await rig.release()
+
+    for lost in LOSSES:
+        rig = ReleaseRig("2F-85", lost)
+        run_virtual(rig.run(story, gripped=False))
+        check_reports(rig)
+        assert rig.emulator.registers.activations == 0
+        assert rig.phase in (Phase.IDLE, Phase.FAULT)
+        assert not rig.jaws.state_at(math.inf).holds, "whatever was reported"
 
 
 @pytest.mark.parametrize("model", ["2F-85", "Hand-E"])
