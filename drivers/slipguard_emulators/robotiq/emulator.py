@@ -111,7 +111,7 @@ class RobotiqEmulator(ControlledEmulator):
         if self.settings.activated:
             self.registers.outputs, self.registers.stage = [RACT << 8, 0, 0], ActivationStage.READY
         else:
-            self.registers.lose_power(asyncio.get_running_loop().time())
+            self.registers.power_up()
         self._port.plug()
         self._started = True
 

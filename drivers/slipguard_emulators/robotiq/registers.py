@@ -156,9 +156,13 @@ class GripperRegisters:
         self._last_request_s = now_s
 
     def lose_power(self, now_s: float) -> None:
-        """Reset everything but the screw; the position loses its reference."""
+        """Reset everything but the screw."""
         self._note("power lost", held=self.jaws.state_at(now_s).holds)
         self.jaws.halt(now_s)
+        self.power_up()
+
+    def power_up(self) -> None:
+        """Start as after power-on: not active, and with a position that has no reference."""
         self.outputs, self._written, self.stage, self.fault = (
             [self.action_after_power_loss << 8, 0, 0],
             None,
