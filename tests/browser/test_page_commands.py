@@ -71,11 +71,14 @@ async def test_a_lift_from_calibration_to_release(running: DaemonProcess, open_p
     await expect(page.locator("#events")).to_contain_text("released")
 
 
+RELEASE_TEXT = "This opens the jaws, and never closes them: a held object drops. Support it first."
+
+
 async def release(running: DaemonProcess, page: Page) -> None:
     """Neither a double click nor the Enter key opens the jaws: the box must be checked first."""
     await page.dblclick("#do-release")
     yes = page.locator("#dialog-confirm")
-    await expect(page.locator("#dialog-text")).to_have_text("This opens the jaws: a held object drops.")
+    await expect(page.locator("#dialog-text")).to_have_text(RELEASE_TEXT)
     await expect(page.locator("#dialog-cancel")).to_be_focused()
     await expect(page.locator("#dialog-state")).to_contain_text("check the box")
     await expect(yes).to_be_disabled()

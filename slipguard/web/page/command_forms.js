@@ -107,9 +107,7 @@ export const COMMANDS = {
       label: "Release",
       hint: "opens: the object drops",
       title: "Open the jaws?",
-      text:
-        "This opens the jaws: a held object drops. They never close for it. A gripper that is not active opens slowly " +
-        "and fully, and must be activated afterwards.",
+      text: "This opens the jaws, and never closes them: a held object drops. Support it first.",
       confirm: "Open the jaws",
       cancel: "Keep the grip",
       checkbox: { label: "Yes: it may drop, or it is supported", required: true },
