@@ -114,8 +114,11 @@ def _is_out(release: Release, fused: FusedEstimate | None) -> bool:
 
     Where nothing was held it is enough that none reports contact.
     """
-    if fused is None or fused.none_touches is False:
-        return not release.held and (fused is None or True not in (fused.left_contact, fused.right_contact))
+    contacts = (None, None) if fused is None else (fused.left_contact, fused.right_contact)
+    if True in contacts:
+        return False
+    if fused is None or False not in contacts:
+        return not release.held
     return fused.measured_at_s > (release.opened_s or 0.0)
 
 

@@ -37,7 +37,7 @@ RULES: list[tuple[str, str, str]] = [
     (
         "what is in the jaws is only taken out after it is supported",
         r"\btake (?:it|the object|what)\b|\bremove (?:it|the object)\b",
-        r"support|in contact",  # "in contact": of a calibration, which is refused while the gripper holds something
+        r"support|cannot calibrate",  # a calibration is refused while the gripper holds something
     ),
     (
         "an activation is only advised for empty jaws, without hands and with what it does",
