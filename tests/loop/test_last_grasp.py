@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
@@ -241,21 +243,83 @@ def test_a_requested_release_is_stored_with_its_fault(tmp_path: Path) -> None:
     assert restore_control_state(store).grasp == GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
 
 
+SAVED = '{"format": 5, "force_n": 40.0, "width_mm": 18.0, "saved_at": '
+
+
 @pytest.mark.parametrize(
-    "content",
+    ("content", "damage"),
     [
-        '{"format": 1}',
-        "not JSON",
-        '{"format": 5, "saved_at": "2026-01-01T00:00:00Z", "force_n": "NaN"}',
-        '{"format": 5, "saved_at": "2026-01-01T00:00:00Z", "fault": {"code": "x", "observed": "", "what_to_do": ""}}',
+        ('{"format": 1}', "saved_at: missing"),
+        ("not JSON", "not valid JSON: "),
+        ("[" * 10_000, "not valid JSON: recursion limit"),
+        (" " * 2_000_000, "larger than 1048576 bytes"),
+        (SAVED + '"2026-01-01T00:00:00Z", "lift_start_mm": [0, 0, NaN]}', "lift_start_mm"),
+        (SAVED + '"2026-01-01T00:00:00Z", "force_n": -Infinity}', "force_n"),
+        (SAVED + '"2026-01-01T00:00:00Z", "fault": {"code": "x", "observed": "", "what_to_do": ""}}', "fault.code"),
+        (SAVED + '"2026-01-01T00:00:00", "boot_id": "another"}', "saved_at = '2026-01-01T00:00:00': "),
+        (SAVED + '1e300, "boot_id": "another"}', "saved_at = 1e+300: "),
+        (SAVED + '"2026-01-01T00:00:00Z", "boot_id": "BOOT", "uptime_s": 1e300}', "uptime_s = 1e+300: "),
     ],
 )
-def test_after_a_damaged_file_it_is_unknown_whether_something_is_held(tmp_path: Path, content: str) -> None:
+def test_after_a_damaged_file_it_is_unknown_whether_something_is_held(
+    tmp_path: Path, content: str, damage: str
+) -> None:
+    content = content.replace("BOOT", dated_file._boot_id())
     (tmp_path / "last_grasp.json").write_text(content)
     lines: list[str] = []
     assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD
     (line,) = lines
-    assert line.startswith(f"it is unknown what was held before the restart: {tmp_path}/last_grasp.json: damaged: ")
+    assert line.startswith(f"it is unknown what was held before the restart: {tmp_path}/last_grasp.json: ")
+    assert damage in line
+    (aside,) = tmp_path.glob("last_grasp.unreadable-*.json")
+    assert aside.read_text() == content
+    assert f"(kept as {aside.name})" in line
+    assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD, "at each start until a grip"
+    assert len(lines) == 1
+
+
+@pytest.mark.parametrize("saved_at", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
+def test_a_grip_of_another_age_and_time_zone_is_not_used(tmp_path: Path, saved_at: str) -> None:
+    (tmp_path / "last_grasp.json").write_text(SAVED + f'"{saved_at}", "boot_id": "another"}}')
+    assert restore_control_state(StateDir(tmp_path), warning=list[str]().append) == MAY_HOLD
+
+
+def a_folder(path: Path) -> None:
+    path.mkdir()
+    (path / "file").write_text("")
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda path: path.symlink_to(path.parent / "missing"), "No such file"),
+        (lambda path: path.symlink_to(path), "Too many levels of symbolic links"),
+        (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
+        (os.mkfifo, "not a regular file"),
+        (a_folder, "Is a directory"),
+    ],
+)
+def test_what_is_no_file_does_not_say_that_nothing_was_held(
+    tmp_path: Path, make: Callable[[Path], object], reason: str
+) -> None:
+    make(tmp_path / "last_grasp.json")
+    lines: list[str] = []
+    assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD
+    assert reason in lines[0]
+    assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD
+    assert len(lines) == 1, "the next start reads a valid file"
+
+
+@pytest.mark.parametrize("target", ["missing", "state"])
+def test_a_state_folder_behind_a_broken_link_does_not_say_that_nothing_was_held(tmp_path: Path, target: str) -> None:
+    (tmp_path / "state").symlink_to(tmp_path / target)
+    lines: list[str] = []
+    assert restore_control_state(StateDir(tmp_path / "state"), warning=lines.append) == MAY_HOLD
+    assert "cannot be read" in lines[0]
+    (tmp_path / "real").mkdir()
+    (tmp_path / "state").unlink()
+    (tmp_path / "state").symlink_to(tmp_path / "real")
+    assert restore_control_state(StateDir(tmp_path / "state"), warning=lines.append) == ControlState(), "a first start"
 
 
 def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path) -> None:

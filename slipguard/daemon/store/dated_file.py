@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
 
 VALID_FOR = timedelta(hours=1)
 """An older file probably belongs to another object."""
@@ -15,13 +15,13 @@ BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
 class DatedFile(BaseModel):
-    """saved_at: with time zone. boot_id, uptime_s: start of the computer, and the time since then; empty if unknown."""
+    """boot_id, uptime_s: start of the computer, and the time since then; empty and 0 if unknown."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    saved_at: datetime
-    boot_id: str = ""
-    uptime_s: float = 0.0
+    saved_at: AwareDatetime
+    boot_id: Annotated[str, Field(max_length=64)] = ""
+    uptime_s: Annotated[float, Field(ge=0.0, le=1e10)] = 0.0
 
     def outdated(self, now: datetime | None = None) -> str | None:
         """Return in words why the file is not recent; None if it is.

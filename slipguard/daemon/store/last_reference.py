@@ -26,8 +26,10 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
 from slipguard.daemon.store.dated_file import DatedFile, save_time
 from slipguard.daemon.store.disk_writer import DiskWriter
+from slipguard.daemon.store.state_dir import FILE_MAX_BYTES
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
+from slipguard.limited_read import read_limited
 from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
 
 REFERENCES = "references"
@@ -86,8 +88,8 @@ class ReferenceStore:
         if not path.exists():
             return None
         try:
-            facts = _ReferenceFacts.model_validate_json(path.read_bytes())
-            png = path.with_suffix(".png").read_bytes()
+            facts = _ReferenceFacts.model_validate_json(read_limited(path, FILE_MAX_BYTES))
+            png = read_limited(path.with_suffix(".png"), FILE_MAX_BYTES)
         except (OSError, ValidationError) as error:
             raise InputError(f"{path}: cannot be read; a new reference will be taken") from error
         if facts.serial != serial or facts.outdated(now) is not None:

@@ -3,7 +3,7 @@
     <state>/sensors/<serial>/no_contact-0003.png    background image, 240 x 320 BGR; older ones are kept
     <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, time, sha256 of the image
     <state>/sensors/<serial>/stiffness.json         learned stiffness of the gel
-    <state>/last_grasp.json
+    <state>/last_grasp.json                         and last_grasp.unreadable-<time>.json, which could not be used
 
 Every file is written atomically, the .json last: an image without it is not used.
 """
@@ -20,20 +20,23 @@ from typing import Annotated, Literal, TypeVar
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.atomic_file import write_atomically
 from slipguard.config_errors import describe_validation_error
 from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
-from slipguard.daemon.store.dated_file import DatedFile
+from slipguard.daemon.store.dated_file import DatedFile, save_time
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import ConfigError, InputError
+from slipguard.limited_read import read_limited
 
 SOCKET_NAME = "slipguard.sock"
 _SERIAL = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-_IMAGE = re.compile(r"no_contact-(\d{4,})\.json")
+_IMAGE = re.compile(r"no_contact-(\d{4,9})\.json")
+FILE_MAX_BYTES = 2**20
+"""A state file has some hundred bytes, an image at most 240 kB."""
 Level = Annotated[float, Field(ge=0.0, le=255.0)]
 
 
@@ -44,7 +47,7 @@ class _StateFile(BaseModel):
 class _BackgroundFacts(_StateFile):
     format: Literal[1] = 1
     serial: str
-    created_at: datetime
+    created_at: AwareDatetime
     noise_bgr: tuple[Level, Level, Level]
     frames: Annotated[int, Field(ge=1)]
     sha256: str
@@ -199,11 +202,11 @@ class StateDir:
 
     def _load(self, serial: str, number: int) -> BackgroundImage:
         path = self._sensor(serial) / f"no_contact-{number:04d}.json"
-        facts = _read(path, _BackgroundFacts)
-        png_path = path.with_suffix(".png")
         action = f"move {path.with_suffix('')}.* away or run `slipguard calibrate`"
+        facts = _read(path, _BackgroundFacts, f"; {action}")
+        png_path = path.with_suffix(".png")
         try:
-            png = png_path.read_bytes()
+            png = read_limited(png_path, FILE_MAX_BYTES)
         except OSError as error:
             raise InputError(f"{png_path}: cannot be read ({error.strerror}); {action}") from None
         if hashlib.sha256(png).hexdigest() != facts.sha256:
@@ -230,9 +233,12 @@ class StateDir:
 
     @staticmethod
     def _numbers(folder: Path) -> list[int]:
-        if not folder.is_dir():
+        try:
+            return [int(match[1]) for name in os.listdir(folder) if (match := _IMAGE.fullmatch(name))]
+        except (FileNotFoundError, NotADirectoryError):
             return []
-        return [int(match[1]) for entry in folder.iterdir() if (match := _IMAGE.fullmatch(entry.name))]
+        except OSError as error:
+            raise InputError(f"{folder}: cannot be read ({error.strerror}); check its owner and permissions") from None
 
     # --- the stiffness of the gels ---
 
@@ -243,11 +249,10 @@ class StateDir:
 
     def load_stiffness(self, serial: str) -> LogNormal | None:
         """Return the learned stiffness of a sensor's present gel; None if unknown. Raises InputError if damaged."""
-        path = self._sensor(serial) / "stiffness.json"
-        if not path.exists():
+        facts = _read_if_there(self._sensor(serial) / "stiffness.json", _StiffnessFacts)
+        if facts is None or facts.gel != self.gel_number(serial):
             return None
-        facts = _read(path, _StiffnessFacts)
-        return LogNormal(facts.median_n_m_rad, facts.spread) if facts.gel == self.gel_number(serial) else None
+        return LogNormal(facts.median_n_m_rad, facts.spread)
 
     # --- the last grasp ---
 
@@ -256,24 +261,55 @@ class StateDir:
         _write(self.path / "last_grasp.json", last.model_dump_json(indent=2).encode())
 
     def load_last_grasp(self) -> LastGrasp | None:
-        """Return how an object was held before a restart; None if nothing was. Raises InputError if damaged."""
+        """Return how an object was held before a restart; None if nothing was.
+
+        Raises InputError if that is unknown: the file is damaged, cannot be read, or is a link to a missing one. Such a
+        file is kept under another name, and what is stored from then on is that something may be held.
+        """
+        try:
+            return _read_if_there(self.path / "last_grasp.json", LastGrasp)
+        except InputError as error:
+            aside = self._set_aside_last_grasp()
+            raise InputError(f"{error}" + ("" if aside is None else f" (kept as {aside.name})")) from None
+
+    def _set_aside_last_grasp(self) -> Path | None:
+        """Return the new path; None if the folder cannot be written: then the file stays."""
         path = self.path / "last_grasp.json"
-        return _read(path, LastGrasp) if path.exists() else None
+        aside = self.path / f"last_grasp.unreadable-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.json"
+        try:
+            try:
+                os.link(path, aside, follow_symlinks=False)  # a daemon that is killed now still finds the file
+            except OSError:  # a folder, or another user's file
+                path.rename(aside)
+            self.save_last_grasp(LastGrasp(**save_time(), may_hold=True))
+        except (OSError, ConfigError):
+            return None
+        return aside
 
     def delete_last_grasp(self) -> None:
         """Delete the last grasp, because nothing is held any more."""
         (self.path / "last_grasp.json").unlink(missing_ok=True)
 
 
-def _read(path: Path, kind: type[_S]) -> _S:
+def _read_if_there(path: Path, kind: type[_S]) -> _S | None:
+    """Return a state file; None if there is none. A link to a missing file or folder counts as a damaged file."""
     try:
-        return kind.model_validate_json(path.read_bytes())
+        path.lstat()
+    except FileNotFoundError:
+        if not os.path.islink(path.parent) or os.path.exists(path.parent):
+            return None
+    except OSError:
+        pass  # reported by reading it
+    return _read(path, kind)
+
+
+def _read(path: Path, kind: type[_S], action: str = "") -> _S:
+    try:
+        return kind.model_validate_json(read_limited(path, FILE_MAX_BYTES))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+        raise InputError(f"{path}: cannot be read ({error.strerror}){action}") from None
     except ValidationError as error:
-        raise InputError(
-            f"{path}: damaged: {describe_validation_error(error, kind)}; move it away to continue without it"
-        ) from None
+        raise InputError(f"{path}: damaged: {describe_validation_error(error, kind)}{action}") from None
 
 
 def _write(path: Path, content: bytes) -> None:

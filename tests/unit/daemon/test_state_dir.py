@@ -86,7 +86,12 @@ def test_an_image_of_another_size_is_an_error_with_its_name(tmp_path: Path) -> N
         state.load_background("D20479")
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2}', '{"format": 1, "serial": "D20479"}'])
+NO_ZONE = (
+    '{"serial": "D20479", "created_at": "2026-01-01T00:00:00", "noise_bgr": [1, 1, 1], "frames": 30, "sha256": "0"}'
+)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"format": 2}', '{"format": 1, "serial": "D20479"}', NO_ZONE])
 def test_a_damaged_json_is_an_error_with_its_name(tmp_path: Path, text: str) -> None:
     state = StateDir(tmp_path)
     state.save_background("D20479", no_contact())
@@ -94,6 +99,13 @@ def test_a_damaged_json_is_an_error_with_its_name(tmp_path: Path, text: str) -> 
     with pytest.raises(InputError, match=r"no_contact-0001\.json: damaged") as caught:
         state.load_background("D20479")
     assert "\n" not in str(caught.value)
+
+
+def test_a_folder_of_images_that_cannot_be_read_is_an_error_with_its_name(tmp_path: Path) -> None:
+    (tmp_path / "sensors").mkdir()
+    (tmp_path / "sensors" / "D20479").symlink_to("D20479")
+    with pytest.raises(InputError, match=r"sensors/D20479: cannot be read \(Too many levels of symbolic links\)"):
+        StateDir(tmp_path).load_background("D20479")
 
 
 def test_a_missing_image_is_an_error_with_its_name(tmp_path: Path) -> None:
