@@ -34,6 +34,7 @@ from slipguard.config_errors import describe_unknown_key, describe_validation_er
 from slipguard.control.params import GuardParams
 from slipguard.devices import FINGERS
 from slipguard.errors import ConfigError
+from slipguard.limited_read import read_limited
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.registry import load_driver
 
@@ -163,6 +164,9 @@ class LogSection(Section):
     level: Literal["debug", "info", "warning", "error"] = "info"
 
 
+CONFIG_MAX_BYTES = 2**20
+DEPTH_MAX = 8
+"""Tables in tables; a driver's settings are at most 3 deep."""
 PERIODS_PER_TIMEOUT = 2
 """A timeout must be longer than one period, by one that is late."""
 
@@ -251,18 +255,23 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
     Raises ConfigError: one line with the file, the key, the value and what is allowed.
     """
     try:
-        raw = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+        raw = tomllib.loads(read_limited(path, CONFIG_MAX_BYTES).decode("utf-8-sig"))
     except FileNotFoundError as error:
         raise ConfigError(f"{path}: no such file; copy the commented config.toml of the project") from error
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # also for an integer of thousands of digits
         raise ConfigError(f"{path}: not valid TOML: {error}") from error
     return parse_config(raw, where=str(path), sim=sim)
 
 
 def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Config:
     """Return the checked configuration from the content of a file. where: names the file in errors."""
+    if not isinstance(raw, Mapping):  # the last configuration, damaged
+        raise ConfigError(f"{where}: must be a table")
+    _check_values(raw, where)
     values = dict(raw)
     # First, because a section with a typo in its name leaves another one incomplete.
     unknown = [key for key in raw if key not in Config.model_fields]
@@ -276,6 +285,24 @@ def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Co
         return Config.model_validate(values)
     except ValidationError as error:
         raise ConfigError(f"{where}: {describe_validation_error(error, Config)}") from None
+
+
+def _check_values(raw: Mapping[str, Any], where: str) -> None:
+    """Refuse what TOML can spell, but neither a model nor the operating system can take."""
+    waiting: list[tuple[str, Any, int]] = [(key, value, 1) for key, value in raw.items()]
+    while waiting:
+        key, value, depth = waiting.pop()
+        problem = None
+        if "\0" in key or (isinstance(value, str) and "\0" in value):
+            problem = "contains a NUL character; remove it"
+        elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+            problem = "an integer must be from -2^63 to 2^63 - 1"
+        elif isinstance(value, Mapping | list) and depth >= DEPTH_MAX:
+            problem = f"more than {DEPTH_MAX} tables or arrays inside each other"
+        if problem is not None:
+            raise ConfigError(f"{where}: {key!r}: {problem}")
+        inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
+        waiting += [(f"{key}.{name}", one, depth + 1) for name, one in inner]
 
 
 def _check_only_one(devices: Mapping[str, Any], where: str) -> None:

@@ -329,6 +329,12 @@ UNWORKABLE = [
         '[left]\ndriver = "replay"\nreplay = {{path = "{here}"}}',
         "left.digit: no such key",
     ),
+    ('# socket = "/run/slipguard/slipguard.sock"', 'socket = "a\\u0000"', "'api.socket': contains a NUL"),
+    ('# directory = "/var/lib/slipguard"', 'directory = "a\\u0000b"', "'state.directory': contains a NUL"),
+    ("force_max_n = 130", f"force_max_n = 1{'0' * 5000}", "not valid TOML: Exceeds the limit (4300 digits)"),
+    ("force_max_n = 130", f"force_max_n = 0x{'f' * 5000}", "'guard.force_max_n': an integer must be from -2^63"),
+    ("force_max_n = 130", f"force_max_n = {'[' * 9}{']' * 9}", ": more than 8 tables or arrays inside each other"),
+    ("force_max_n = 130", f"force_max_n = {'[' * 5000}", "not valid TOML: "),
 ]
 
 

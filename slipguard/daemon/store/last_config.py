@@ -13,11 +13,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from slipguard.atomic_file import write_atomically
-from slipguard.config import Config, file_content, parse_config
+from slipguard.config import CONFIG_MAX_BYTES, Config, file_content, parse_config
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.errors import ConfigError
+from slipguard.limited_read import read_limited
 
 LAST_CONFIG = "last_config.json"
 
@@ -44,9 +45,9 @@ def read_or_last(read: Callable[[], Config], kept: Path | None) -> tuple[Config,
         try:
             if kept is None:
                 raise error
-            last = parse_config(json.loads(kept.read_bytes()), where=str(kept))
+            last = parse_config(json.loads(read_limited(kept, CONFIG_MAX_BYTES)), where=str(kept))
             used_at = datetime.fromtimestamp(kept.stat().st_mtime, UTC)
-        except (OSError, ValueError, ConfigError):
+        except (OSError, ValueError, RecursionError, ConfigError):
             raise error from None
         return last, (
             f"{error}. NOT in use: the service runs with its last valid configuration, of {used_at:%Y-%m-%d %H:%M} "

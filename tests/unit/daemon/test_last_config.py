@@ -44,7 +44,10 @@ def test_with_an_invalid_file_the_last_configuration_is_used_and_both_are_named(
     assert problem.endswith("Correct the file, then `systemctl reload slipguard`")
 
 
-@pytest.mark.parametrize("content", [None, "", "{", "[]", '{"gaurd": {}}', '{"left": {"driver": "gone"}}'])
+UNUSABLE = [None, "", "{", "[]", "7", "[" * 100_000, "9" * 5000, '{"gaurd": {}}', '{"left": {"driver": "gone"}}']
+
+
+@pytest.mark.parametrize("content", UNUSABLE)
 def test_without_a_usable_last_configuration_the_files_error_is_reported(content: str | None, kept: Path) -> None:
     if content is None:
         kept.unlink()
