@@ -64,7 +64,7 @@ class Segmenter:
 
     Raises:
         ModelError: In one line, for a missing or corrupt file, another contract, missing metadata, or an output that
-            is no probability.
+            is no probability or does not depend on the frame.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -76,7 +76,10 @@ class Segmenter:
         middle = np.full((self._size[1], self._size[0], 3), 96, np.uint8)
         self._background: NDArray[np.uint8] | None = None
         self._background_small = middle
-        self._run(middle, middle, known=True)
+        pressed = middle.copy()
+        pressed[self._size[1] // 4 : self._size[1] // 2, self._size[0] // 4 : self._size[0] // 2] = 200
+        if np.array_equal(self._run(middle, middle, known=True), self._run(pressed, middle, known=True)):
+            raise ModelError(f"{self.path}: the output is the same for different frames; use another model")
 
     @property
     def input_size(self) -> tuple[int, int]:

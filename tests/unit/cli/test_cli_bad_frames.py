@@ -106,12 +106,21 @@ def _other_inputs() -> bytes:
     return whole.replace(b"background_known", b"background_knowm")
 
 
+def _constant_output() -> bytes:
+    """The shipped network with zeros for the weights of its last layer."""
+    whole = default_model_path().read_bytes()
+    before, name, after = whole.partition(b"net.head.weightJ")
+    size = (after[0] & 0x7F) | after[1] << 7  # protobuf: a length of two bytes, then the weights
+    return before + name + after[:2] + bytes(size) + after[2 + size :]
+
+
 MODELS = {
     "missing": (None, "no such file"),
     "empty": (b"", "not a readable ONNX model"),
     "corrupt": (default_model_path().read_bytes()[:9000], "not a readable ONNX model"),
     "text": (b"weights go here", "not a readable ONNX model"),
     "other inputs": (_other_inputs(), "the model contract asks for"),
+    "constant output": (_constant_output(), "the output is the same for different frames"),
 }
 
 
