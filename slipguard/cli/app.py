@@ -130,10 +130,14 @@ def _run(arguments: list[str] | None, app: typer.Typer, program: str) -> tuple[i
         return _code_and_message(error)
     except ExceptionGroup as group:
         # Of a task group: the first failure has cancelled the other tasks.
-        expected, unexpected = group.split(SlipguardError)
+        expected, unexpected = group.split(lambda error: isinstance(error, SlipguardError) or _lacks(error) is not None)
         if unexpected is not None or expected is None:
             raise
         return _code_and_message(_first_exception(expected))
+    except (RuntimeError, MemoryError) as error:
+        if _lacks(error) is None:
+            raise
+        return _code_and_message(error)
     except BrokenPipeError:
         raise
     except OSError as error:
@@ -145,7 +149,19 @@ def _run(arguments: list[str] | None, app: typer.Typer, program: str) -> tuple[i
     return result if isinstance(result, int) else 0, ""
 
 
+def _lacks(error: BaseException) -> str | None:
+    """Return what the system has refused to this process, and what to do; None for any other error."""
+    if isinstance(error, MemoryError):
+        return "out of memory; raise the memory limit of this process, or end other programs"
+    if isinstance(error, RuntimeError) and str(error) == "can't start new thread":
+        return f"{error}; raise the limit of processes (`ulimit -u`, TasksMax), or end other programs"
+    return None
+
+
 def _code_and_message(error: BaseException) -> tuple[int, str]:
+    lacking = _lacks(error)
+    if lacking is not None:
+        return 1, lacking
     if isinstance(error, CommandRefused):
         return 1, f"refused: {error}"
     return 2 if isinstance(error, ConfigError | InputError | ModelError) else 1, str(error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import signal
 import socket
 import threading
 from collections.abc import Callable
@@ -48,7 +49,7 @@ def ignore_signal(name: str) -> None:
     log.warning(f"{name} ignored; SIGTERM stops slipguard, SIGHUP reloads the configuration")
 
 
-def exit_if_stuck(exit_process: Callable[[int], None] = os._exit) -> threading.Timer:
+def exit_if_stuck(exit_process: Callable[[int], None] = os._exit) -> None:
     """Exit the process `EXIT_S` from now, unless it has ended by then. The grip stays as it is.
 
     To be called when the daemon is asked to stop, and not to be cancelled: after the tasks have ended, asyncio and
@@ -71,8 +72,12 @@ def exit_if_stuck(exit_process: Callable[[int], None] = os._exit) -> threading.T
 
     timer = threading.Timer(EXIT_S, leave)  # a thread, because the loop itself may hang
     timer.daemon = True
-    timer.start()
-    return timer
+    try:
+        timer.start()
+    except RuntimeError:  # no more threads: then by the kernel, without a log line
+        loop.remove_signal_handler(signal.SIGALRM)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(round(EXIT_S))
 
 
 class Shutdown:

@@ -162,6 +162,20 @@ async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "process exits" in reported[-1]["event"]
 
 
+async def test_without_a_thread_for_it_the_kernel_ends_a_hanging_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    asyncio.get_running_loop().add_signal_handler(signal.SIGALRM, lambda: None)
+    monkeypatch.setattr(threading.Timer, "start", refuse)
+    try:
+        exit_if_stuck()
+        assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+    finally:
+        remaining_s = signal.alarm(0)
+    assert 0 < remaining_s <= EXIT_S
+
+
 def test_systemd_waits_longer() -> None:
     unit = (Path(__file__).parents[2] / "systemd" / "slipguard.service").read_text()
     stop_s = next(float(line.partition("=")[2]) for line in unit.splitlines() if line.startswith("TimeoutStopSec="))

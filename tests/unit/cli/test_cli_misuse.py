@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
@@ -238,18 +239,44 @@ def fails_with(error: BaseException) -> Callable[..., Coroutine[None, None, None
     return run
 
 
-def test_a_failed_task_of_the_daemon_is_one_line(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+FAILURES = [
+    (ConfigError("api.socket = x: cannot be made"), "api.socket = x: cannot be made", 2),
+    (OSError(28, "No space left on device", "/state/x"), "/state/x: No space left on device", 1),
+    (RuntimeError("can't start new thread"), "can't start new thread; raise the limit of processes", 1),
+    (MemoryError(), "out of memory; raise the memory limit", 1),
+]
+
+
+@pytest.mark.parametrize(("failure", "line", "code"), FAILURES)
+def test_a_failure_of_the_daemon_is_one_line(
+    failure: Exception, line: str, code: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    inner = ExceptionGroup("tasks", [ConfigError("api.socket = x: cannot be made")])
-    monkeypatch.setattr(root, "run", fails_with(ExceptionGroup("daemon", [inner])))
-    ran = slipguard(capfd, "run", "--sim")
-    assert ran.complaint == "api.socket = x: cannot be made"
-    assert ran.code == 2
-    monkeypatch.setattr(root, "run", fails_with(OSError(28, "No space left on device", "/state/x")))
-    ran = slipguard(capfd, "run", "--sim")
-    assert ran.complaint == "/state/x: No space left on device"
-    assert ran.code == 1
+    raised = [failure]
+    if not isinstance(failure, OSError):
+        raised.append(ExceptionGroup("daemon", [ExceptionGroup("tasks", [failure])]))
+    for one in raised:
+        monkeypatch.setattr(root, "run", fails_with(one))
+        ran = slipguard(capfd, "run", "--sim")
+        assert ran.complaint.startswith(line)
+        assert ran.code == code
+
+
+@pytest.mark.parametrize("before", [0o000, 0o077])
+def test_files_of_the_daemon_are_for_its_user_and_group_only(
+    before: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    async def records(*arguments: object, **named: object) -> None:
+        (tmp_path / "recordings").mkdir()
+        (tmp_path / "recordings" / "x.mcap").write_text("")
+
+    monkeypatch.setattr(root, "run", records)
+    own = os.umask(before)
+    try:
+        assert slipguard(capfd, "run", "--sim").code == 0
+    finally:
+        os.umask(own)
+    modes = [path.stat().st_mode & 0o777 for path in (tmp_path / "recordings", tmp_path / "recordings" / "x.mcap")]
+    assert modes == ([0o700, 0o600] if before else [0o750, 0o640])
 
 
 def test_an_internal_error_is_not_hidden(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
