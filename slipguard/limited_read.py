@@ -13,12 +13,11 @@ def read_limited(path: Path, max_bytes: int) -> bytes:
 
     Raises OSError, with the reason in `strerror`: also for anything but a regular file, and for a larger one.
     """
-    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb", buffering=0) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        facts = os.fstat(file.fileno())
+        if not stat.S_ISREG(facts.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
-        content = bytearray()
-        while piece := file.read(max_bytes + 1 - len(content)):
-            content += piece
+        content = file.read(min(facts.st_size, max_bytes) + 1)
     if len(content) > max_bytes:
         raise OSError(errno.EFBIG, f"larger than {max_bytes} bytes", str(path))
-    return bytes(content)
+    return content

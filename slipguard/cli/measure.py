@@ -14,13 +14,12 @@ from slipguard.cli.terminal import make_folder
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from slipguard.tools.measure import FrameMeasurement
+    from slipguard.tools.measure import Results
 
 NO_BACKGROUND = (
     "no --background given: the rotation is that of the mask's axis ({estimator}), masks are less accurate, and "
     "contact may be reported where there is none"
 )
-ROWS_MAX = 60
 FRAME_NAME_WIDTH = 28
 
 
@@ -98,16 +97,16 @@ def measure(
     segmenter = Segmenter(settings.model)
     if background_image is None:
         print(f"slipguard: {NO_BACKGROUND.format(estimator=settings.estimator)}", file=sys.stderr)
-    done: list[FrameMeasurement] = []
+    done = tool.Results()
     try:
         for measured in tool.measure(paths, segmenter, settings, background_image, independent):
             if json:
                 print(jsonlib.dumps(tool.as_json(measured)), flush=True)
             if masks is not None:
                 tool.write_mask(masks, measured)
-            done.append(measured)
+            done.add(measured.frame.name, measured.estimate)
     finally:
-        if not json and done:
+        if not json and done.count:
             _print_table(done)
     if plot is not None:
         tool.plot(done, plot, background_image is not None)
@@ -135,36 +134,35 @@ def _check_estimator(name: str) -> str:
     return name
 
 
-def _print_table(done: list[FrameMeasurement]) -> None:
+def _print_table(done: Results) -> None:
+    import numpy as np
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("frame", overflow="fold", max_width=FRAME_NAME_WIDTH)
     for name in ("area\npx", "rotation\n°", "orientation\n°"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("note", overflow="fold")
-    omitted = len(done) - ROWS_MAX
-    for number, measured in enumerate(done):
-        if omitted > 0 and ROWS_MAX // 2 <= number < len(done) - ROWS_MAX // 2:
-            if number == ROWS_MAX // 2:
-                table.add_row("…", "", "", "", f"{omitted} more; --json prints all")
-            continue
-        estimate = measured.estimate
+    rows = [*done.first, *done.last]
+    for number, (name, estimate) in enumerate(rows):
+        if number == len(done.first) and done.count > len(rows):
+            table.add_row("…", "", "", "", f"{done.count - len(rows)} more; --json prints all")
         rotation = (
             "" if estimate.rotation_deg is None else f"{estimate.rotation_deg:+.2f} ± {estimate.sigma_deg or 0.0:.2f}"
         )
         axis = "" if estimate.orientation_deg is None else f"{estimate.orientation_deg:+.1f}"
         note = estimate.skipped or estimate.declined or ("" if estimate.contact else "no contact")
         area = str(estimate.contact_area_px) if estimate.contact else "–"
-        table.add_row(measured.frame.name, area, rotation, axis, note)
+        table.add_row(Text(name), area, rotation, axis, Text(note))
     console = Console()
     console.print(table)
-    in_contact = [measured.estimate for measured in done if measured.estimate.contact]
-    rotations = [estimate.rotation_deg for estimate in in_contact if estimate.rotation_deg is not None]
-    method = done[-1].estimate.method
-    line = f"{len(done)} frames, {len(in_contact)} with contact, {len(rotations)} with a rotation (method {method})"
-    if rotations:
-        line += f", from {min(rotations):+.2f}° to {max(rotations):+.2f}°, last {rotations[-1]:+.2f}°"
+    rotations = done.column("rotation")
+    rotations = rotations[np.isfinite(rotations)]
+    method = rows[-1][1].method
+    line = f"{done.count} frames, {done.in_contact} with contact, {len(rotations)} with a rotation (method {method})"
+    if len(rotations):
+        line += f", from {rotations.min():+.2f}° to {rotations.max():+.2f}°, last {rotations[-1]:+.2f}°"
     console.print(line)

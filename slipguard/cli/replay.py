@@ -70,9 +70,11 @@ def replay(
     if kinds:
         raise InputError("--as needs --export FOLDER")
     done = tool.replay(opened, model)
+    if not done.on_recorded.ticks and done.damage:
+        raise SlipguardError(f"{done.damage[0]}; no control step could be read")
     if against and not done.on_recorded.ticks:
         raise SlipguardError("the recordings have no control steps, so nothing was compared")
-    if model is not None and not done.processed:
+    if model is not None and not done.estimates.processed:
         raise SlipguardError(f"--model {model}: no frame was processed, so the network was not used")
     if json:
         print(jsonlib.dumps(_as_json(done)))
@@ -83,17 +85,16 @@ def replay(
 
 
 def _as_json(done: ReplayResult) -> dict[str, Any]:
-    rotations = [abs(rotation) for rotation in done.rotation_differences_deg]
     return {
         "ticks": done.on_recorded.ticks,
-        "commands_differ": len(done.on_recorded.differences),
+        "commands_differ": done.on_recorded.differ,
         "first_difference": _first(done.on_recorded),
-        "frames": len(done.frames),
-        "frames_replayed": len(done.processed),
+        "frames": done.estimates.frames,
+        "frames_replayed": done.estimates.processed,
         "image": done.image,
-        "estimates_differ": done.estimates_differ,
-        "turn_difference_max_deg": max(rotations) if rotations else None,
-        "commands_differ_on_frames": len(done.on_frames.differences),
+        "estimates_differ": done.estimates.differ,
+        "turn_difference_max_deg": done.estimates.rotation_difference_max_deg,
+        "commands_differ_on_frames": done.on_frames.differ,
         "first_difference_on_frames": _first(done.on_frames),
         "phases": [{"at_s": at_s, "phase": phase} for at_s, phase in done.phases],
         "faults": done.faults,
@@ -131,21 +132,21 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
     table.add_row(
         "controller with the recorded estimates",
         str(done.on_recorded.ticks),
-        str(len(done.on_recorded.differences)),
+        str(done.on_recorded.differ),
         "",
     )
-    rotations = [abs(rotation) for rotation in done.rotation_differences_deg]
-    rotations_text = f"{done.estimates_differ} of {len(done.processed)} frames" + (
-        f", by at most {max(rotations):.3f}°" if rotations else ""
+    largest_deg = done.estimates.rotation_difference_max_deg
+    rotations_text = f"{done.estimates.differ} of {done.estimates.processed} frames" + (
+        "" if largest_deg is None else f", by at most {largest_deg:.3f}°"
     )
     table.add_row(
         f"controller with the frames ({done.image})",
         str(done.on_frames.ticks),
-        str(len(done.on_frames.differences)),
+        str(done.on_frames.differ),
         rotations_text,
     )
     console.print(table)
-    if not done.processed:
+    if not done.estimates.processed:
         console.print("no frame was processed: there are no images, or no new reference was taken in the recording")
     for damage in done.damage:
         console.print(f"{damage}: processed up to there")
@@ -158,5 +159,5 @@ def _print_differences(console: Any, name: str, replayed: ControllerReplay, bega
     for one in replayed.differences[:DIFFERENCES_MAX]:
         console.print(f"{name}, {one.now_s - began_s:.3f} s:")
         console.print(f"  recorded {_command_text(one.recorded)}\n  replayed {_command_text(one.replayed)}")
-    if len(replayed.differences) > DIFFERENCES_MAX:
-        console.print(f"{name}: {len(replayed.differences) - DIFFERENCES_MAX} more")
+    if replayed.differ > DIFFERENCES_MAX:
+        console.print(f"{name}: {replayed.differ - DIFFERENCES_MAX} more")

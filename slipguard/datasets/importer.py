@@ -24,7 +24,8 @@ from slipguard.datasets.dataset_files import (
 )
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
-from slipguard.tools.image_files import IMAGE_ENDINGS, damage, read_image
+from slipguard.tools.image_decoding import decode_file
+from slipguard.tools.image_files import IMAGE_ENDINGS, read_image
 from slipguard.tools.parallel import Workers, each
 
 _MASK_WORDS = r"masks?|labels?|gt|seg|segmentation|ground_?truth|annotations?|targets?|segmentationclass"
@@ -168,11 +169,7 @@ def _frame(pair: ImagePair) -> _ConvertedPair:
 
 def _read_mask(path: Path) -> Image:
     """Return a mask, (H, W) uint8, 0 or 1."""
-    data = path.read_bytes()
-    wrong = damage(data)
-    values = None if wrong else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if values is None:
-        raise InputError(f"{path}: {wrong or 'no image can be decoded from it'}; replace the file")
+    values = decode_file(path, cv2.IMREAD_UNCHANGED)
     gray = values if values.ndim == 2 else values[..., :3].max(2)
     if gray.dtype != np.uint8:
         gray = (gray // 257).astype(np.uint8) if gray.max() > 255 else gray.astype(np.uint8)

@@ -35,6 +35,8 @@ LOG_TOPIC = "/log"
 HEADER = "slipguard"
 """Name of the metadata record; its values are text."""
 CONFIG_ATTACHMENT = "config.json"
+JSON_MAX_BYTES = 256 * 1024
+"""Of one message or of the configuration: slipguard's have at most some kilobytes, and parsing takes ten times more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +107,8 @@ class Json(Generic[T]):
 
     def decode(self, data: bytes) -> T:
         """Return the message. Raises InputError if it is damaged."""
+        if len(data) > JSON_MAX_BYTES:
+            raise InputError(f"a {self.name} message of {len(data)} bytes (limit {JSON_MAX_BYTES})")
         try:
             return self._adapter.validate_json(data)
         except ValidationError as error:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
+import lz4.frame
 import numpy as np
+import zstandard
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 from mcap.exceptions import EndOfFile, McapError
-from mcap.records import Attachment, Channel, Message, Metadata
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 
@@ -22,18 +27,22 @@ from slipguard.control.control_step import ControlState
 from slipguard.errors import InputError
 from slipguard.recording import messages as m
 
-RECORD_MAX_BYTES = 64 * 2**20
-"""Records of slipguard are smaller; a damaged length must not allocate all memory."""
+RECORD_MAX_BYTES = 8 * 2**20
+"""Records of slipguard are smaller: the largest is a 4K image of an external camera, 4 MB."""
+CHUNK_MAX_BYTES = 16 * 2**20
+"""Content of one chunk. slipguard ends a chunk at 64 kB, after one more record."""
+ATTACHMENTS_MAX, ATTACHMENTS_MAX_BYTES = 64, 16 * 2**20
+"""A file has at most five: configuration, two background images, the description of a lift and of its camera."""
 _DAMAGE = (
     McapError,
     DecodeError,
     InputError,
+    zstandard.ZstdError,
     struct.error,
     ValueError,
     RuntimeError,
     EOFError,
     OverflowError,
-    KeyError,
 )
 
 
@@ -47,10 +56,18 @@ class StoredImage:
 
     def pixels(self) -> NDArray[np.uint8]:
         """Return the image, (320, 240, 3) uint8 BGR. Raises InputError if it cannot be decoded."""
-        image = cv2.imdecode(np.frombuffer(self.encoded, np.uint8), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InputError(f"an image of {self.source} cannot be decoded")
-        return np.asarray(image, np.uint8)
+        return decode_stored(self.encoded, f"an image of {self.source}")
+
+
+def decode_stored(encoded: bytes, what: str) -> NDArray[np.uint8]:
+    """Return the pixels of a JPEG or PNG, (H, W, 3) uint8 BGR. Raises InputError, naming `what`, if that fails."""
+    image = None
+    if encoded.startswith((b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")):
+        with contextlib.suppress(cv2.error):  # too many pixels, for example
+            image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(f"{what} cannot be decoded")
+    return np.asarray(image, np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,17 +102,19 @@ class Recording:
 
     def items(self) -> Iterator[RecordedItem]:
         """Yield all messages in the order written; ends early at a damage, which is then in `damage`."""
-        topics: dict[int, str] = {}
+        topics: dict[int, str | None] = {}
         self.damage = None
         try:
             with self.path.open("rb") as file:
                 for record in _records(file):
                     if isinstance(record, Channel):
-                        topics[record.id] = record.topic
+                        topics[record.id] = record.topic if record.topic in _KNOWN_TOPICS else None
                     elif isinstance(record, Message):
-                        value = _value(topics[record.channel_id], record.data)
-                        if value is not None:
-                            yield RecordedItem(topics[record.channel_id], record.log_time, value)
+                        if record.channel_id not in topics:
+                            raise InputError(f"a message of channel {record.channel_id}, which is not described")
+                        topic = topics[record.channel_id]
+                        if topic is not None:
+                            yield RecordedItem(topic, record.log_time, _value(topic, record.data))
         except _DAMAGE as error:
             if isinstance(error, EndOfFile):
                 self.damage = "is cut off (killed, or the disk was full)"
@@ -115,6 +134,9 @@ def open_recording(path: Path) -> Recording:
                     recording.facts = dict(record.metadata)
                 elif isinstance(record, Attachment):
                     recording.attachments[record.name] = record.data
+                    size = sum(map(len, recording.attachments.values()))
+                    if len(recording.attachments) > ATTACHMENTS_MAX or size > ATTACHMENTS_MAX_BYTES:
+                        raise InputError("too many or too large attachments")
                 elif isinstance(record, Message):
                     break
     except OSError as error:
@@ -131,8 +153,38 @@ def open_recording(path: Path) -> Recording:
     return recording
 
 
-def _records(file: Any) -> Iterator[Any]:
-    return StreamReader(file, validate_crcs=True, record_size_limit=RECORD_MAX_BYTES).records
+def _records(file: BinaryIO) -> Iterator[Any]:
+    """Yield the records outside and inside of the chunks, one at a time; only one chunk is in memory."""
+    for record in StreamReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=RECORD_MAX_BYTES).records:
+        if isinstance(record, Chunk):
+            content = io.BytesIO(_decompressed(record))
+            inside = StreamReader(content, skip_magic=True, emit_chunks=True, record_size_limit=RECORD_MAX_BYTES)
+            with contextlib.suppress(EndOfFile):  # a chunk has no record that ends it
+                yield from inside.records
+        else:
+            yield record
+
+
+def _decompressed(chunk: Chunk) -> bytes:
+    """Return the content of a chunk. Raises InputError, or an error of the library, if it is not as announced.
+
+    mcap's own reader decompresses before it compares the size; then 100 kB may become gigabytes.
+    """
+    size, content = chunk.uncompressed_size, bytes(chunk.data)
+    if size > CHUNK_MAX_BYTES:
+        raise InputError(f"a chunk of {size} bytes (limit {CHUNK_MAX_BYTES})")
+    if chunk.compression == "lz4":
+        content = lz4.frame.LZ4FrameDecompressor().decompress(content, max_length=size + 1)
+    elif chunk.compression == "zstd":
+        zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_MAX_BYTES)
+        content = zstd.stream_reader(content).read(size + 1)
+    elif chunk.compression:
+        raise InputError(f"a chunk compressed with {chunk.compression!r}; lz4 and zstd can be read")
+    if len(content) != size:
+        raise InputError(f"a chunk that announces {size} bytes has {'more' if len(content) > size else len(content)}")
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise InputError("the checksum of a chunk differs")
+    return content
 
 
 _TOPICS: dict[str, m.Json[Any]] = {
@@ -146,15 +198,16 @@ _SOURCE_OF = {
 }
 
 
-def _value(topic: str, data: bytes) -> Value | None:
-    """Return the message; None for a topic of a later version."""
+_KNOWN_TOPICS = {*_TOPICS, *_SOURCE_OF, m.LOG_TOPIC}
+"""Those of a later version are skipped."""
+
+
+def _value(topic: str, data: bytes) -> Value:
     if topic in _TOPICS:
         value: ControlState | m.FrameRecord | m.CycleRecord | m.TruthRecord = _TOPICS[topic].decode(data)
         return value
     if topic in _SOURCE_OF:
         image = CompressedImage.FromString(data)
         return StoredImage(_SOURCE_OF[topic], image.data, image.format)
-    if topic == m.LOG_TOPIC:
-        message = Log.FromString(data)
-        return StoredMessage(message.message, message.level >= Log.ERROR)
-    return None
+    message = Log.FromString(data)
+    return StoredMessage(message.message, message.level >= Log.ERROR)

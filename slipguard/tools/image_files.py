@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,17 +11,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard import IMAGE_PIXELS_MAX
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
+from slipguard.tools.image_decoding import decode_file
 
 IMAGE_ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 VIDEO_ENDINGS = frozenset({".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mjpeg", ".mjpg"})
 STILL_IMAGES_FPS = 30.0
 """Image files have no time stamps; they count as one recording at the usual rate of a DIGIT."""
-LARGEST_SIDE_PX = 8192
 DARK_LEVEL, BRIGHT_LEVEL = 8, 247
-_PNG_START = b"\x89PNG\r\n\x1a\n"
-_JPEG_START, _JPEG_END = b"\xff\xd8\xff", b"\xff\xd9"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,24 +79,7 @@ def read_gel_image(path: Path) -> NDArray[np.uint8]:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """Return the pixels of an 8-bit color image file, BGR. Raises `InputError` for a damaged, gray or 16-bit one."""
-    if path.exists() and not path.is_file():  # a folder, or a device that never ends
-        raise InputError(f"{path}: not an image file. Give an 8-bit color PNG or JPEG")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read the file: {error.strerror}") from error
-    found_damage = damage(data)
-    if found_damage:
-        raise InputError(f"{path}: {found_damage}. Give an intact image file")
-    previous = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pixels = None
-    finally:
-        cv2.utils.logging.setLogLevel(previous)
-    if pixels is None:
-        raise InputError(f"{path}: not a decodable image. Give an 8-bit color PNG or JPEG")
+    pixels = decode_file(path, cv2.IMREAD_UNCHANGED)
     if pixels.dtype != np.uint8:
         raise InputError(f"{path}: {8 * pixels.dtype.itemsize} bits per channel. 8-bit color is needed")
     if pixels.ndim == 2 or pixels.shape[2] < 3:
@@ -112,14 +93,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 def read_bgr(path: Path) -> NDArray[np.uint8]:
     """Return any image, such as a mask, as (H, W, 3) uint8 BGR, without `read_image`'s checks. Raises InputError."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-    image = cv2.imdecode(np.frombuffer(data or b"\0", np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"{path}: not a readable image; remove or replace it")
-    return np.asarray(image, np.uint8)
+    return np.asarray(decode_file(path, cv2.IMREAD_COLOR), np.uint8)
 
 
 def _checked_frame(image: NDArray[np.uint8], what: str, name: str, stem: str, at_s: float) -> FileFrame:
@@ -147,8 +121,6 @@ def _check_size(width: int, height: int, what: str) -> None:
         )
     if width * FRAME_HEIGHT_PX != height * FRAME_WIDTH_PX or width < FRAME_WIDTH_PX:
         raise InputError(f"{what}: {width}x{height}. {wanted} is needed")
-    if height > LARGEST_SIDE_PX:
-        raise InputError(f"{what}: {width}x{height}. The maximum height is {LARGEST_SIDE_PX} pixels")
 
 
 def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
@@ -163,6 +135,9 @@ def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
     try:
         if not video.isOpened():
             raise InputError(f"{path}: not a decodable video. Give an MP4, AVI or MKV file")
+        size = (int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        if size[0] * size[1] > IMAGE_PIXELS_MAX:
+            raise InputError(f"{path}: {size[0]}x{size[1]} pixels, more than {IMAGE_PIXELS_MAX}. Give a smaller video")
         fps = video.get(cv2.CAP_PROP_FPS)
         step_s = 1.0 / fps if 1.0 <= fps <= 1000.0 else 1.0 / STILL_IMAGES_FPS
         announced = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -171,6 +146,8 @@ def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
             there, image = video.read()
             if not there:
                 break
+            if image.shape[1::-1] != size:
+                raise InputError(f"{path}: frame {count} has another size than the first. Give an intact video file")
             at_s = 1e-3 * video.get(cv2.CAP_PROP_POS_MSEC)
             last_s = at_s if at_s > last_s else last_s + step_s  # some containers carry no times
             count += 1
@@ -182,33 +159,6 @@ def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
         raise InputError(f"{path}: the video has no frames")
     if announced > count + 1:  # containers are often off by one
         raise InputError(f"{path}: ends after {count} of {announced} frames. Give an intact video file")
-
-
-def damage(data: bytes) -> str | None:
-    """Return the damage that an image file's container reveals; None if there is none."""
-    if not data:
-        return "the file is empty"
-    if data.startswith(_PNG_START):
-        return _png_damage(data)
-    if data.startswith(_JPEG_START) and _JPEG_END not in data[-64:]:
-        return "the JPEG is truncated"
-    return None
-
-
-def _png_damage(data: bytes) -> str | None:
-    at = len(_PNG_START)
-    while at + 12 <= len(data):
-        length = int.from_bytes(data[at : at + 4], "big")
-        end = at + 12 + length
-        if end > len(data):
-            break
-        kind = data[at + 4 : at + 8]
-        if zlib.crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            return "the PNG is damaged (checksum)"
-        if kind == b"IEND":
-            return None
-        at = end
-    return "the PNG is truncated"
 
 
 def _endings(endings: frozenset[str]) -> str:

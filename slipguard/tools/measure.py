@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from array import array
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,6 +26,8 @@ from slipguard.tools.sample_statistics import rounded
 
 PX_PER_MM = 18.5
 """Scale of a DIGIT at 240 x 320; only shifts depend on it."""
+ENDS = 30
+"""Rows of a table before and after those that are left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,32 +111,54 @@ def write_mask(folder: Path, measured: FrameMeasurement) -> None:
         raise InputError(f"{path}: cannot write the mask: {error.strerror}") from error
 
 
-def plot(results: list[FrameMeasurement], path: Path, background_known: bool) -> None:
+class Results:
+    """What table and plot show of all frames. Images and masks are not kept: a video may have any number of frames.
+
+    first, last: names and estimates of at most `ENDS` frames at the beginning and at the end.
+    """
+
+    def __init__(self) -> None:
+        self.first: list[tuple[str, Estimate]] = []
+        self.last: deque[tuple[str, Estimate]] = deque(maxlen=ENDS)
+        self.count, self.in_contact = 0, 0
+        self._columns = {name: array("d") for name in ("rotation", "sigma", "orientation", "area")}
+
+    def add(self, name: str, estimate: Estimate) -> None:
+        """Add the next frame."""
+        (self.first if self.count < ENDS else self.last).append((name, estimate))
+        self.count += 1
+        self.in_contact += estimate.contact
+        given = (estimate.rotation_deg, estimate.sigma_deg, estimate.orientation_deg, estimate.contact_area_px)
+        for column, value in zip(self._columns.values(), given, strict=True):
+            column.append(np.nan if value is None else value)
+
+    def column(self, name: str) -> NDArray[np.float64]:
+        """Return rotation, sigma or orientation in degrees, or the contact area in pixels; NaN where it is declined."""
+        return np.frombuffer(self._columns[name], np.float64)
+
+
+def plot(results: Results, path: Path, background_known: bool) -> None:
     """Plot rotation with its uncertainty, orientation and contact area of the frames into an image file."""
     from slipguard.tools.plotting import figure, save
 
     drawing = figure(9.0, 6.5)
     rotation, axis, area = drawing.subplots(3, 1, sharex=True, height_ratios=(3, 2, 1))
-    number = np.arange(len(results))
-    angle = _series([r.estimate.rotation_deg for r in results])
-    sigma = _series([r.estimate.sigma_deg for r in results])
+    number = np.arange(results.count)
+    angle, sigma = results.column("rotation"), results.column("sigma")
     rotation.fill_between(number, angle - 2.0 * sigma, angle + 2.0 * sigma, alpha=0.25, label="± 2 sigma")
     rotation.plot(number, angle, marker=".", label="rotation since the reference")
     rotation.set_ylabel("rotation, degrees (ccw +)")
     rotation.legend(loc="best")
-    axis.plot(number, _series([r.estimate.orientation_deg for r in results]), ".", color="tab:green")
+    axis.plot(number, results.column("orientation"), ".", color="tab:green")
     axis.set_ylabel("orientation, degrees")
     axis.set_ylim(-95.0, 95.0)
-    area.plot(number, [r.estimate.contact_area_px for r in results], color="tab:gray")
+    area.plot(number, results.column("area"), color="tab:gray")
     area.set_ylabel("contact area, px")
-    area.set_xlabel(f"frame, from {results[0].frame.name} to {results[-1].frame.name}")
+    ends = [*results.first, *results.last]
+    area.set_xlabel(f"frame, from {ends[0][0]} to {ends[-1][0]}")
     rotation.set_title(
         "with the sensor's background image" if background_known else "axis of the mask, without a background image"
     )
     for axes in (rotation, axis, area):
         axes.grid(alpha=0.3)
     save(drawing, path)
-
-
-def _series(values: list[float | None]) -> NDArray[np.float64]:
-    return np.array([np.nan if value is None else value for value in values], np.float64)

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from pydantic import ValidationError
 
@@ -30,9 +29,11 @@ from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate
 from slipguard.recording import messages as m
-from slipguard.recording.reader import RecordedItem, Recording, StoredImage, open_recording
+from slipguard.recording.reader import RecordedItem, Recording, StoredImage, decode_stored, open_recording
 from slipguard.recording.ring import SUFFIX
 
+SHOWN_MAX = 1000
+"""Phases, faults and differences that are kept; a recording may hold any number of control steps."""
 KEPT_ESTIMATES = 64
 """Estimates kept per finger; the loop uses none older than 150 ms."""
 
@@ -46,50 +47,55 @@ class CommandDifference:
     replayed: StepOutput
 
 
-@dataclass(frozen=True, slots=True)
-class ReplayedEstimate:
-    """One frame: its record, and the new estimate; None if the frame was not processed again."""
-
-    finger: str
-    recorded: m.FrameRecord
-    replayed: Estimate | None
-
-
 @dataclass(slots=True)
 class ControllerReplay:
-    """Number of control steps, and every command that differs."""
+    """Number of control steps and of commands that differ; the first `SHOWN_MAX` of these."""
 
     ticks: int = 0
+    differ: int = 0
     differences: list[CommandDifference] = field(default_factory=list)
 
 
 @dataclass(slots=True)
+class EstimateReplay:
+    """What the pipeline's new estimates are, against the recorded ones.
+
+    frames: all in the recordings. processed: those that the pipeline processed again. differ: those of them whose
+    estimate differs, even in the last bit. rotation_difference_max_deg: where neither estimate was declined; None if
+    there is no such frame.
+    """
+
+    frames: int = 0
+    processed: int = 0
+    differ: int = 0
+    rotation_difference_max_deg: float | None = None
+
+    def add(self, recorded: Estimate | None, replayed: Estimate | None) -> None:
+        """Add a frame. replayed: None if it was not processed again."""
+        self.frames += 1
+        if replayed is None:
+            return
+        self.processed += 1
+        self.differ += _plain(recorded) != _plain(replayed)
+        then, now = _rotation(recorded), _rotation(replayed)
+        if then is not None and now is not None:
+            self.rotation_difference_max_deg = max(self.rotation_difference_max_deg or 0.0, abs(now - then))
+
+
+@dataclass(slots=True)
 class ReplayResult:
-    """Result of a replay. on_recorded: with the recorded estimates. on_frames: with the pipeline's new estimates."""
+    """Result of a replay. on_recorded: with the recorded estimates. on_frames: with the pipeline's new estimates.
+
+    phases and faults: the first `SHOWN_MAX`.
+    """
 
     on_recorded: ControllerReplay = field(default_factory=ControllerReplay)
     on_frames: ControllerReplay = field(default_factory=ControllerReplay)
-    frames: list[ReplayedEstimate] = field(default_factory=list)
+    estimates: EstimateReplay = field(default_factory=EstimateReplay)
     phases: list[tuple[float, str]] = field(default_factory=list)
     faults: list[str] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     image: str = "none"
-
-    @property
-    def processed(self) -> list[ReplayedEstimate]:
-        """Frames that the pipeline processed again."""
-        return [one for one in self.frames if one.replayed is not None]
-
-    @property
-    def estimates_differ(self) -> int:
-        """Number of these whose estimate differs, even in the last bit."""
-        return sum(_plain(one.recorded.estimate) != _plain(one.replayed) for one in self.processed)
-
-    @property
-    def rotation_differences_deg(self) -> list[float]:
-        """Differences of the rotation, new minus recorded, where neither estimate was declined."""
-        both = ((_rotation(one.recorded.estimate), _rotation(one.replayed)) for one in self.processed)
-        return [now - then for then, now in both if then is not None and now is not None]
 
 
 def recordings(paths: Iterable[Path]) -> list[Recording]:
@@ -136,6 +142,7 @@ class _RecordingPlayer:
         self._images: dict[str, StoredImage] = {}
         self._estimates: dict[str, dict[int, Estimate]] = {finger: {} for finger in FINGERS}
         self._states: dict[str, ControlState] = {}
+        self._phase = done.phases[-1][1] if done.phases else None
 
     def play(self) -> None:
         for item in self._recording.items():
@@ -166,7 +173,7 @@ class _RecordingPlayer:
         replayed = None
         if self._live[finger] and image is not None:
             replayed = self._process(finger, image, record)
-        self._done.frames.append(ReplayedEstimate(finger, record, replayed))
+        self._done.estimates.add(record.estimate, replayed)
         estimate = replayed or record.estimate
         if estimate is not None:
             known = self._estimates[finger]
@@ -194,10 +201,11 @@ class _RecordingPlayer:
 
     def _play_cycle(self, cycle: m.CycleRecord) -> None:
         done = self._done
-        if not done.phases or done.phases[-1][1] != cycle.phase:
+        if self._phase != cycle.phase and len(done.phases) < SHOWN_MAX:
             done.phases.append((cycle.now_s, cycle.phase))
+        self._phase = cycle.phase
         fault = cycle.output.fault
-        if fault is not None and str(fault) not in done.faults:
+        if fault is not None and str(fault) not in done.faults and len(done.faults) < SHOWN_MAX:
             done.faults.append(str(fault))
         if not self._states:
             raise InputError(
@@ -220,7 +228,9 @@ class _RecordingPlayer:
         memory, output = control_step(memory, cycle.observation, self._params)
         into.ticks += 1
         if output != cycle.output:
-            into.differences.append(CommandDifference(cycle.now_s, cycle.output, output))
+            into.differ += 1
+            if len(into.differences) < SHOWN_MAX:
+                into.differences.append(CommandDifference(cycle.now_s, cycle.output, output))
         return memory
 
 
@@ -259,12 +269,10 @@ class RecordedSettings:
         )
 
     def background(self, finger: str) -> np.ndarray | None:
-        """Return the finger's background image, (320, 240, 3) uint8; None if it is not stored."""
-        encoded = self.recording.attachments.get(m.background_name(finger))
-        if encoded is None:
-            return None
-        image = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR)
-        return None if image is None else np.asarray(image, np.uint8)
+        """Return the finger's background image, (320, 240, 3) uint8; None if it is not stored. Raises InputError."""
+        name = m.background_name(finger)
+        encoded = self.recording.attachments.get(name)
+        return None if encoded is None else decode_stored(encoded, f"{self.recording.path}: {name}")
 
     def noise_bgr(self, finger: str) -> list[float] | None:
         """Return the finger's noise in gray levels; None if it is not stored."""
@@ -276,7 +284,10 @@ def recorded_settings(recording: Recording) -> RecordedSettings:
     """Return the stored configuration. Raises InputError if it is missing or of another version."""
     where = f"{recording.path}: {m.CONFIG_ATTACHMENT}"
     try:
-        config = json.loads(recording.attachments[m.CONFIG_ATTACHMENT])
+        content = recording.attachments[m.CONFIG_ATTACHMENT]
+        if len(content) > m.JSON_MAX_BYTES:
+            raise InputError(f"{where}: {len(content)} bytes (limit {m.JSON_MAX_BYTES})")
+        config = json.loads(content)
         perception = {key: value for key, value in config["perception"].items() if key != "model"}
         return RecordedSettings(
             GuardParams.model_validate(config["guard"]),
@@ -289,7 +300,7 @@ def recorded_settings(recording: Recording) -> RecordedSettings:
         raise InputError(
             f"{where}: written by another version of slipguard: {describe_validation_error(error)}"
         ) from None
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InputError(f"{where}: missing or damaged: {error}") from None
 
 

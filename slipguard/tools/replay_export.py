@@ -19,6 +19,8 @@ from slipguard.recording.reader import RecordedItem, Recording, StoredImage, Sto
 from slipguard.tools.replay import items_of
 
 VIDEO_FPS = 30.0
+GAP_MAX_NS = 600 * 10**9
+"""A longer time without any message is left out of a video; the clock may have been set."""
 FRAME_SIZE = (240, 320)
 CONTOUR_BGR = (80, 240, 80)
 ESTIMATE_COLUMNS = (
@@ -159,7 +161,8 @@ def _write_video(items: Iterable[RecordedItem], finger: str, video: cv2.VideoWri
             force_n = value.observation.gripper.force_n
         if image is None:
             continue
-        next_ns = item.at_ns if next_ns is None else next_ns
+        if next_ns is None or item.at_ns - next_ns > GAP_MAX_NS:
+            next_ns = item.at_ns
         while item.at_ns >= next_ns:
             video.write(_annotated(image, mask, estimate, force_n))
             next_ns += round(1e9 / VIDEO_FPS)

@@ -70,7 +70,7 @@ def test_replay_against_fails_if_commands_differ(
 
     def played(opened: object, model: Path | None) -> lab.ReplayResult:
         requested.append(model)
-        return lab.ReplayResult(on_recorded=lab.ControllerReplay(3, other))
+        return lab.ReplayResult(on_recorded=lab.ControllerReplay(3, len(other), other))
 
     monkeypatch.setattr(lab, "recordings", lambda files: files)
     monkeypatch.setattr(lab, "replay", played)

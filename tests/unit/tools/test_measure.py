@@ -192,12 +192,19 @@ def damaged_png() -> bytes:
     return bytes(data)
 
 
+def progressive_jpeg() -> bytes:
+    return cv2.imencode(".jpg", bar(0, 20.0), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+
+
 with_alpha = np.dstack([bar(0, 20.0), np.full((320, 240), 128, np.uint8)])
 BAD = {
     "empty": (b"", "empty"),
     "truncated PNG": (image_bytes(bar(0, 20.0))[:5000], "truncated"),
     "truncated JPEG": (image_bytes(bar(0, 20.0), ".jpg")[:3000], "truncated"),
+    "truncated JPEG with an end": (image_bytes(bar(0, 20.0), ".jpg")[:3000] + b"\xff\xd9", "truncated"),
+    "truncated progressive JPEG with an end": (progressive_jpeg()[:-400] + b"\xff\xd9", "truncated"),
     "damaged PNG": (damaged_png(), "checksum"),
+    "GIF": (image_bytes(bar(0, 20.0), ".gif"), "neither PNG, JPEG, BMP, TIFF nor WebP"),
     "text": (b"not an image at all", "not a decodable image"),
     "1x1": (image_bytes(np.full((1, 1, 3), (9, 90, 200), np.uint8)), "1x1"),
     "16-bit": (image_bytes(bar(0, 20.0).astype(np.uint16) * 256), "16 bits"),
@@ -227,6 +234,13 @@ def test_a_bad_file_is_named_in_one_line_and_earlier_results_are_kept(
     assert [json.loads(line)["frame"] for line in out.splitlines()] == ["a.png"]
     assert err.count("\n") == 1, "libraries must not add lines of their own"
     assert (tmp_path / "masks" / "a.png").is_file()
+
+
+def test_a_frame_is_named_as_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Brackets are no markup of the table."""
+    (tmp_path / "a[red]b[bold].png").write_bytes(image_bytes(bar(0, 20.0)))
+    run([tmp_path / "a[red]b[bold].png"], json=False)
+    assert "a[red]b[bold].png" in capsys.readouterr().out
 
 
 def test_opaque_alpha_is_dropped(tmp_path: Path) -> None:
