@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import hmac
 import ipaddress
+import re
 import secrets
 import socket
 import time
@@ -29,6 +30,8 @@ SESSION_HEADER = "x-slipguard-session"
 """Header in which the page sends the session key."""
 LINK_VALID_S = 60.0
 LINKS_MAX = 16
+_TOKEN = re.compile(rb"(?i)\nauthorization:[ \t]*bearer[ \t]+(\S+)")
+_COOKIE = re.compile(rb"\b" + COOKIE.encode() + rb"=([0-9a-f]+)")
 CONTROL_KEY = "slipguard.control"
 """Key of the ASGI scope: whether this client may send commands."""
 
@@ -60,6 +63,17 @@ class Access:
     def is_known(self, headers: Headers) -> bool:
         """Return whether the request is for this server and has the token or the cookie."""
         return self._names_this_server(headers) and (self._has_token(headers) or self._has_cookie(headers))
+
+    def may_be_known(self, head: bytes) -> bool:
+        """Return whether a request line with its headers has the token or the cookie, wherever in it.
+
+        Decides only which requests are handled first; fast, because any client may send any headers.
+        """
+        return any(
+            hmac.compare_digest(found, secret.encode())
+            for secret, pattern in ((self._token, _TOKEN), (self._cookie, _COOKIE))
+            for found in pattern.findall(head)
+        )
 
     def may_command(self, headers: Headers) -> bool:
         """Return whether the request has the token, or the cookie and the session key."""

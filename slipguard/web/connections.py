@@ -22,49 +22,64 @@ HEADERS_MAX_BYTES = 16 * 1024
 """Of a request line with its headers: browsers send the cookies of every program on this host."""
 PIECE_BYTES = 4096
 """The parser checks that limit after each piece."""
-CONNECTIONS_MAX = 128
-"""One more closes the connection that has been idle longest; it is refused only if none is idle."""
-TOO_MANY_BODY = b'{"error": "too many connections"}'
-TOO_MANY_HEAD = (
+UNKNOWN_MAX = 64
+"""Connections without the token or the cookie. One more closes the one that has been idle longest; it is refused only
+if none is idle."""
+KNOWN_MAX = 256
+"""Connections over the Unix socket, or with the token or the cookie: none is closed for another one."""
+_TOO_MANY_BODY = b'{"error": "too many connections"}'
+TOO_MANY = (
     b"HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-type: application/json\r\ncontent-length: "
+    b"%d\r\n\r\n%s" % (len(_TOO_MANY_BODY), _TOO_MANY_BODY)
 )
 _DISCONNECTED_KEY = "slipguard.disconnected"
 
 
 class ReceiveQueue:
-    """Handles what connections receive one at a time, each in its own cycle of the event loop.
+    """Handles what unknown clients send one at a time, and leaves known clients half of the event loop's time.
 
-    Otherwise one cycle would serve all connections of hostile clients, and a command over the Unix socket, which takes
-    several cycles, would wait for each.
+    Otherwise one cycle of the loop would serve all connections of hostile clients, and a command of the operator, which
+    takes several cycles, would wait for each.
     """
 
     def __init__(self) -> None:
         self._waiting: deque[Callable[[], None]] = deque()
+        self._running = False
 
     def add(self, loop: asyncio.AbstractEventLoop, handle: Callable[[], None]) -> None:
         """Have `handle` called after those that already wait."""
         self._waiting.append(handle)
-        if len(self._waiting) == 1:
+        if not self._running:
+            self._running = True
             loop.call_soon(self._handle_next, loop)
 
     def _handle_next(self, loop: asyncio.AbstractEventLoop) -> None:
-        try:
-            self._waiting[0]()
-        finally:
-            self._waiting.popleft()
-            if self._waiting:
-                loop.call_soon(self._handle_next, loop)
+        self._running = bool(self._waiting)
+        if self._running:
+            began_s = loop.time()
+            try:
+                self._waiting.popleft()()
+            finally:
+                loop.call_soon(self._pause, loop, began_s)
+
+    def _pause(self, loop: asyncio.AbstractEventLoop, began_s: float) -> None:
+        """In the next cycle: now the request itself has been handled, too."""
+        loop.call_later(loop.time() - began_s, self._handle_next, loop)
 
 
 class BoundedHttpProtocol(H11Protocol):
     """uvicorn's HTTP/1.1 with a request timeout, a limit of the headers' size and a limit of connections.
 
-    receive_queue: shared by the connections of a server; None: what is received is handled at once.
+    received: what the client has sent already. receive_queue: shared by the connections of unknown clients; None: the
+    client is known, and what it sends is handled at once.
     """
 
-    def __init__(self, *arguments: Any, receive_queue: ReceiveQueue | None = None, **named: Any) -> None:
+    def __init__(
+        self, *arguments: Any, received: bytes = b"", receive_queue: ReceiveQueue | None = None, **named: Any
+    ) -> None:
         super().__init__(*arguments, **named)
-        self._receive_queue = receive_queue
+        self._received, self._receive_queue = received, receive_queue
+        self._waits_in_queue = False
         self._timeout: asyncio.TimerHandle | None = None
         self._received_at_s = 0.0
 
@@ -72,11 +87,13 @@ class BoundedHttpProtocol(H11Protocol):
         super().connection_made(transport)
         self.app = track_disconnect(self.app, transport)
         self._received_at_s = self.loop.time()
-        if len(self.connections) > CONNECTIONS_MAX and not self._close_longest_idle():
-            transport.write(TOO_MANY_HEAD + f"{len(TOO_MANY_BODY)}\r\n\r\n".encode() + TOO_MANY_BODY)
+        if not self._has_room():
+            transport.write(TOO_MANY)
             transport.close()
             return
         self._start_timeout()
+        if self._received:
+            self._handle(self._received)
 
     def data_received(self, data: bytes) -> None:
         self._received_at_s = self.loop.time()
@@ -84,7 +101,12 @@ class BoundedHttpProtocol(H11Protocol):
             self._handle(data)
         else:
             self.transport.pause_reading()
-            self._receive_queue.add(self.loop, partial(self._handle, data))
+            self._waits_in_queue = True
+            self._receive_queue.add(self.loop, partial(self._handle_queued, data))
+
+    def _handle_queued(self, data: bytes) -> None:
+        self._waits_in_queue = False
+        self._handle(data)
 
     def _handle(self, data: bytes) -> None:
         for start in range(0, len(data), PIECE_BYTES):
@@ -107,13 +129,32 @@ class BoundedHttpProtocol(H11Protocol):
     def _responding(self) -> bool:
         return self.cycle is not None and not self.cycle.response_complete
 
-    def _close_longest_idle(self) -> bool:
-        """Close the connection that has been idle longest; return False if none is idle.
+    def on_response_complete(self) -> None:
+        if not self._is_known and self.conn.trailing_data[0]:
+            self.transport.close()  # pipelined requests would not wait in the queue
+        super().on_response_complete()
 
-        Without this, idle connections could lock out the operator.
-        """
-        others = [one for one in self.connections if isinstance(one, BoundedHttpProtocol) and one is not self]
-        idle = [one for one in others if not one._responding and not one.transport.is_closing()]
+    def _has_room(self) -> bool:
+        """Return whether this connection is within the limit, after closing an unknown client's if necessary."""
+        alike = [
+            one
+            for one in self.connections
+            if isinstance(one, BoundedHttpProtocol) and one._is_known == self._is_known and one is not self
+        ]
+        if self._is_known:
+            return len(alike) < KNOWN_MAX
+        return len(alike) < UNKNOWN_MAX or self._close_longest_idle(alike)
+
+    @property
+    def _is_known(self) -> bool:
+        return self._receive_queue is None
+
+    @staticmethod
+    def _close_longest_idle(others: list[BoundedHttpProtocol]) -> bool:
+        """Close the connection that has been idle longest; return False if none is idle."""
+        idle = [
+            one for one in others if not one._responding and not one._waits_in_queue and not one.transport.is_closing()
+        ]
         if not idle:
             return False
         min(idle, key=lambda one: one._received_at_s).transport.abort()

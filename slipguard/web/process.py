@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import resource
 import socket
 from typing import NoReturn
 
@@ -44,6 +45,8 @@ async def run(daemon_socket: socket.socket) -> bool:
 def serve_and_exit(socket_fd: int) -> NoReturn:
     """Serve the daemon at the other end of the socket, then exit."""
     cv2.setNumThreads(1)
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))  # usually 1024 of 524,288: hostile clients take more
     log.configure()
     stopped = False
     with contextlib.suppress(SlipguardError):

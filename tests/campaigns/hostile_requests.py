@@ -27,6 +27,11 @@ def head(host: str, method: str, path: str, *headers: str) -> bytes:
     return "\r\n".join((f"{method} {path} HTTP/1.1", f"host: {host}", *headers, "", "")).encode("latin-1")
 
 
+def silent(draw: random.Random, host: str) -> bytes:
+    """Nothing: the connection is only open."""
+    return b""
+
+
 def noise(draw: random.Random, host: str) -> bytes:
     """Bytes that are no request."""
     return draw.randbytes(draw.randint(1, 100_000))
@@ -78,14 +83,14 @@ def stream(draw: random.Random, host: str) -> bytes:
 
 
 ATTACKS: tuple[Callable[[random.Random, str], bytes], ...] = (
-    *(noise, broken_head, many_headers, long_header, cookie, body, pipelined, stream),
+    *(silent, noise, broken_head, many_headers, long_header, cookie, body, pipelined, stream),
 )
 
 
 async def attack(number: int, host: str, port: int, seed: int, done: Counter[str]) -> None:
     """Repeat one kind of attack: with reading, without reading, or byte by byte."""
     draw = random.Random(f"{seed}-{number}")
-    make, reading = ATTACKS[number % len(ATTACKS)], ("reads", "never reads", "byte by byte")[number // 8 % 3]
+    make, reading = ATTACKS[number % len(ATTACKS)], ("reads", "never reads", "byte by byte")[number // len(ATTACKS) % 3]
     while True:
         with contextlib.suppress(OSError, asyncio.TimeoutError):
             reader, writer = await asyncio.open_connection(host, port, limit=4096)

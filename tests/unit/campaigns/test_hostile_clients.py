@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-from dataclasses import replace
 
 import pytest
 
@@ -16,19 +15,17 @@ from tests.campaigns.hostile_clients import HostileResult, run_attack
 @pytest.mark.campaign
 @pytest.mark.realtime
 def test_release_and_clear_are_answered_in_time_during_an_attack() -> None:
-    found = asyncio.run(run_attack(5.0, 500, 0, lambda step, share: None))
-    # One late response may be the machine's; the campaign of 60 s on an idle machine judges each.
-    assert replace(found, times_ms=sorted(found.times_ms)[:-1]).failure is None
-    assert max(found.times_ms) < 500.0
-    assert len(found.attacks) == 24
+    found = asyncio.run(run_attack(5.0, 400, 0, lambda step, share: None))
+    assert found.failure is None
+    assert len(found.attacks) == 27
     assert sum(found.attacks.values()) > 1000
 
 
 @pytest.mark.parametrize(
     ("times_ms", "statuses", "kept", "failure"),
     [
-        ([5.0, 199.0], {"200": 1, "409": 1}, True, None),
-        ([5.0, 201.0], {"200": 2}, True, "1 of 2 responses took over 200 ms; the longest 201 ms"),
+        ([5.0] * 200 + [199.0, 900.0], {"200": 1, "409": 1}, True, None),
+        ([5.0, 203.0], {"200": 2}, True, "tcp: p99 of 2 responses 201 ms; the longest 203 ms"),
         ([5.0], {"0": 1}, True, "statuses {'0': 1}, web process kept"),
         ([5.0], {"200": 1}, False, "statuses {'200': 1}, web process replaced"),
     ],
@@ -42,10 +39,10 @@ def test_a_late_or_missing_response_fails_the_campaign(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     async def measured(*arguments: object) -> HostileResult:
-        return HostileResult(1.0, 1, times_ms, statuses, {"noise, reads": 3}, kept)
+        return HostileResult(1.0, 1, {"unix": [1.0], "tcp": times_ms}, statuses, {"noise, reads": 3}, kept)
 
     monkeypatch.setattr(hostile_clients, "run_attack", measured)
     assert run(["hostile-clients", "--json"]) == (0 if failure is None else 1)
     output = capsys.readouterr()
-    assert json.loads(output.out)["longest_ms"] == max(times_ms)
+    assert json.loads(output.out)["figures"]["tcp"]["longest_ms"] == max(times_ms)
     assert (failure or "") in output.err

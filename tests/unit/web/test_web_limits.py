@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import functools
 import json
+from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 
 import h11
@@ -16,7 +17,7 @@ from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
-from slipguard.web import commands, connections, middleware, serve
+from slipguard.web import acceptor, commands, connections, middleware, serve
 from slipguard.web.access import Access
 from slipguard.web.middleware import ApiMiddleware
 
@@ -70,43 +71,161 @@ async def test_a_request_in_progress_is_not_cut_off(monkeypatch: pytest.MonkeyPa
         assert response.json() == {"message": "clear: done"}
 
 
-async def test_one_connection_too_many_closes_the_one_idle_longest(
+Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def ask(one: Connection, port: int, token: str | None = None) -> bytes:
+    """Send a request on a connection that stays open; return the response's first line."""
+    head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n"
+    one[1].write((head + (f"authorization: Bearer {token}\r\n\r\n" if token else "\r\n")).encode())
+    status = await one[0].readline()
+    size = 0
+    while (line := await one[0].readline()).strip():
+        if line.startswith(b"content-length:"):
+            size = int(line.partition(b":")[2])
+    await one[0].readexactly(size)
+    return status.strip()
+
+
+async def is_closed(one: Connection) -> bool:
+    async with asyncio.timeout(5.0):
+        try:
+            return await one[0].read(1) == b""
+        except ConnectionError:
+            return True
+
+
+@contextlib.asynccontextmanager
+async def opened(port: int, count: int) -> AsyncIterator[list[Connection]]:
+    held = [await asyncio.open_connection("127.0.0.1", port) for _ in range(count)]
+    try:
+        yield held
+    finally:
+        for _, writer in held:
+            writer.close()
+            with contextlib.suppress(ConnectionError):
+                await writer.wait_closed()
+
+
+OK = b"HTTP/1.1 200 OK"
+UNAVAILABLE = b"HTTP/1.1 503 Service Unavailable"
+
+
+async def test_one_silent_connection_too_many_closes_the_oldest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(connections, "CONNECTIONS_MAX", 5)
-    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), httpx.AsyncClient(trust_env=False) as http:
-        held = []
-        for _ in range(5):
-            held.append(await asyncio.open_connection("127.0.0.1", port))
-            await asyncio.sleep(0.02)
-        assert (await http.get(f"http://127.0.0.1:{port}/access")).status_code == 200
-        async with asyncio.timeout(5.0):
-            with contextlib.suppress(ConnectionError):
-                assert await held[0][0].read() == b""
-        for _, one in held[1:]:
-            one.write(b"GET /access HTTP/1.1\r\n")
-            assert not one.is_closing()
-        for _, one in held:
-            one.close()
-            with contextlib.suppress(ConnectionError):
-                await one.wait_closed()
+    monkeypatch.setattr(acceptor, "WAITING_MAX", 5)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), opened(port, 6) as held:
+        assert await is_closed(held[0])
+        assert [await ask(one, port) for one in held[1:]] == [OK] * 5
 
 
-async def test_a_connection_is_refused_if_all_others_are_busy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(connections, "CONNECTIONS_MAX", 1)
-    daemon = FakeDaemonApi()
-    daemon.delay_s = 1.5
-    async with served_on_tcp(daemon, tmp_path) as (port, access), httpx.AsyncClient(trust_env=False) as http:
-        token = {"authorization": f"Bearer {access._token}"}
-        pending = asyncio.create_task(http.post(f"http://127.0.0.1:{port}/clear", headers=token))
-        await daemon.started.wait()
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        output = await reader.read()
-        assert output.startswith(b"HTTP/1.1 503 ")
+async def test_a_connection_with_the_token_is_never_closed_for_another_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(connections, "UNKNOWN_MAX", 3)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), opened(port, 6) as held:
+        assert await ask(held[0], port, access._token) == OK
+        for one in held[1:]:
+            assert await ask(one, port) == OK
+        assert await is_closed(held[1])
+        assert await is_closed(held[2])
+        assert await ask(held[0], port, access._token) == OK, "idle for longest, and open"
+        assert [await ask(one, port) for one in held[3:]] == [OK] * 3
+
+
+async def test_a_request_that_waits_in_the_queue_is_not_idle(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(connections, "UNKNOWN_MAX", 2)
+    handle, held_back = connections.BoundedHttpProtocol._handle_queued, list[Callable[[], None]]()
+
+    def hold_back(protocol: connections.BoundedHttpProtocol, data: bytes) -> None:
+        held_back.append(functools.partial(handle, protocol, data))
+
+    monkeypatch.setattr(connections.BoundedHttpProtocol, "_handle_queued", hold_back)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), opened(port, 3) as held:
+        assert await ask(held[0], port) == OK
+        assert await ask(held[1], port) == OK
+        again = asyncio.create_task(ask(held[0], port))
+        while not held_back:  # noqa: ASYNC110 - another task
+            await asyncio.sleep(0.01)
+        assert await ask(held[2], port) == OK
+        assert await is_closed(held[1]), "not the one that is older, but has a request in the queue"
+        held_back[0]()
+        assert await again == OK
+
+
+async def test_a_request_with_the_token_waits_for_no_other(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(connections.ReceiveQueue, "_handle_next", lambda queue, loop: None)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), opened(port, 2) as held:
+        waiting = asyncio.create_task(ask(held[0], port))
+        assert await ask(held[1], port, access._token) == OK
+        assert not waiting.done()
+        waiting.cancel()
+
+
+async def test_requests_of_unknown_clients_beyond_the_queue_are_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(acceptor, "QUEUED_MAX", 1)
+    monkeypatch.setattr(connections.ReceiveQueue, "_handle_next", lambda queue, loop: None)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), opened(port, 2) as held:
+        waiting = asyncio.create_task(ask(held[0], port))
+        await asyncio.sleep(0.1)
+        assert await ask(held[1], port) == UNAVAILABLE
+        waiting.cancel()
+
+
+@pytest.mark.parametrize("line_end", ["\r\n", "\n"])
+async def test_a_request_in_pieces_is_recognized_by_its_token(
+    line_end: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(connections.ReceiveQueue, "_handle_next", lambda queue, loop: None)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), opened(port, 1) as ((reader, writer),):
+        lines = (
+            *("GET /access HTTP/1.1", f"Host: 127.0.0.1:{port}", f"AUTHORIZATION: bearer {access._token}"),
+            *("connection: close", "", ""),
+        )
+        for piece in line_end.join(lines):
+            writer.write(piece.encode())
+            await asyncio.sleep(0.0)
+        assert (await reader.read()).startswith(OK)
+
+
+async def test_silent_connections_time_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.2)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), opened(port, 2) as held:
+        held[1][1].write(b"GET /access HTTP/1.1\r\n")
+        assert [await is_closed(one) for one in held] == [True, True]
+
+
+@pytest.mark.parametrize("limit", ["KNOWN_MAX", "UNKNOWN_MAX"])
+async def test_a_connection_is_refused_if_all_others_are_busy(
+    limit: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(connections, limit, 1)
+    monkeypatch.setattr(connections.BoundedHttpProtocol, "_responding", True)
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), opened(port, 3) as held:
+        token = access._token if limit == "KNOWN_MAX" else None
+        assert await ask(held[0], port, token) == OK
+        head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\nauthorization: Bearer {token}\r\n\r\n"
+        held[1][1].write(head.encode())
+        output = await held[1][0].read()
+        assert output.startswith(UNAVAILABLE)
         assert json.loads(output.partition(b"\r\n\r\n")[2]) == {"error": "too many connections"}
-        writer.close()
-        await writer.wait_closed()
-        assert (await pending).json() == {"message": "clear: done"}
+        assert await ask(held[2], port, None if token else access._token) == OK, "the others are not concerned"
+        assert await ask(held[0], port, token) == OK
+
+
+async def test_pipelined_requests_of_unknown_clients_are_answered_once(tmp_path: Path) -> None:
+    async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, access), opened(port, 2) as held:
+        head = f"GET /access HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n"
+        held[0][1].write(f"{head}\r\n".encode() * 3)
+        assert (await held[0][0].read()).count(OK) == 1
+        held[1][1].write(f"{head}authorization: Bearer {access._token}\r\n\r\n".encode() * 3)
+        found = b""
+        async with asyncio.timeout(10.0):
+            while found.count(OK) < 3:
+                found += await held[1][0].read(4096)
 
 
 async def test_clients_with_the_token_are_served_among_many_without(tmp_path: Path) -> None:
@@ -234,11 +353,15 @@ async def test_the_host_is_checked_before_any_credentials(monkeypatch: pytest.Mo
         assert inspected
 
 
-async def test_each_cycle_of_the_event_loop_handles_one_connection() -> None:
-    receive_queue, handled, loop = connections.ReceiveQueue(), list[int](), asyncio.get_running_loop()
+async def test_queued_requests_take_turns_and_pause_for_as_long_as_they_took() -> None:
+    receive_queue, loop = connections.ReceiveQueue(), asyncio.get_running_loop()
+    began_s, ended_s = list[float](), list[float]()
 
     def handle(number: int) -> None:
-        handled.append(number)
+        began_s.append(loop.time())
+        while loop.time() < began_s[-1] + 0.02:
+            pass
+        ended_s.append(loop.time())
         if number == 1:
             raise ValueError("a broken request")
 
@@ -246,13 +369,15 @@ async def test_each_cycle_of_the_event_loop_handles_one_connection() -> None:
     loop.set_exception_handler(lambda loop, context: errors.append(context["exception"]))
     for number in range(4):
         receive_queue.add(loop, functools.partial(handle, number))
-    for number in range(4):
-        await asyncio.sleep(0)
-        assert handled == list(range(number + 1))
+    while len(ended_s) < 4:  # noqa: ASYNC110 - each request must find the loop free
+        await asyncio.sleep(0.01)
+    for before_s, next_s in zip(ended_s, began_s[1:], strict=False):
+        assert next_s - before_s >= 0.02
     assert [str(error) for error in errors] == ["a broken request"]
+    await asyncio.sleep(0.1)
     receive_queue.add(loop, functools.partial(handle, 9))
     await asyncio.sleep(0)
-    assert handled[-1] == 9
+    assert len(began_s) == 5, "at once again"
 
 
 async def test_a_large_body_of_a_queued_connection_arrives_completely(tmp_path: Path) -> None:
