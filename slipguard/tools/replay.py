@@ -12,9 +12,10 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from slipguard.config_errors import describe_validation_error
 from slipguard.control.control_step import ControlState, control_step
@@ -34,6 +35,8 @@ from slipguard.recording.ring import SUFFIX
 
 SHOWN_MAX = 1000
 """Phases, faults and differences that are kept; a recording may hold any number of control steps."""
+_Level = Annotated[float, Field(ge=0.0, le=255.0)]
+_NOISE = TypeAdapter(tuple[_Level, _Level, _Level])
 KEPT_ESTIMATES = 64
 """Estimates kept per finger; the loop uses none older than 150 ms."""
 
@@ -274,10 +277,14 @@ class RecordedSettings:
         encoded = self.recording.attachments.get(name)
         return None if encoded is None else decode_stored(encoded, f"{self.recording.path}: {name}")
 
-    def noise_bgr(self, finger: str) -> list[float] | None:
-        """Return the finger's noise in gray levels; None if it is not stored."""
-        text = self.recording.facts.get(f"{finger}.noise_bgr")
-        return None if text is None else [float(level) for level in json.loads(text)]
+    def noise_bgr(self, finger: str) -> tuple[float, float, float] | None:
+        """Return the finger's noise in gray levels; None if it is not stored. Raises InputError if it is damaged."""
+        name = f"{finger}.noise_bgr"
+        text = self.recording.facts.get(name)
+        try:
+            return None if text is None else _NOISE.validate_json(text)
+        except ValidationError as error:
+            raise InputError(f"{self.recording.path}: {name}: {describe_validation_error(error)}") from None
 
 
 def recorded_settings(recording: Recording) -> RecordedSettings:

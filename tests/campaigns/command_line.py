@@ -12,6 +12,7 @@ import typer
 from slipguard.cli import app as product
 from tests.campaigns.api_load import api_load
 from tests.campaigns.faults.command import faults
+from tests.campaigns.fuzz import fuzz
 from tests.campaigns.hostile_clients import hostile_clients
 from tests.campaigns.paper_networks.recipe import Arch, RecipeName
 from tests.campaigns.recording_cost import recording_cost
@@ -20,7 +21,7 @@ from tests.campaigns.stress_list import stress_list
 from tests.campaigns.torn.command import torn_frames
 
 app = typer.Typer(name="campaigns", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-for campaign in (soak, faults, api_load, recording_cost, stress_list, hostile_clients, torn_frames):
+for campaign in (soak, faults, api_load, recording_cost, stress_list, hostile_clients, torn_frames, fuzz):
     app.command()(campaign)
 Model = Annotated[Path | None, typer.Option(help="Segmentation network (.onnx); default: the shipped one.")]
 

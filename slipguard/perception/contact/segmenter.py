@@ -177,7 +177,10 @@ def _checked_ports(path: Path, session: Any) -> tuple[tuple[int, int], bool]:
 
 
 def _checked_metadata(path: Path, session: Any) -> dict[str, str]:
-    metadata = dict(session.get_modelmeta().custom_metadata_map)
+    try:
+        metadata = dict(session.get_modelmeta().custom_metadata_map)
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path}: its metadata are not text ({error.reason}); the file is damaged") from error
     missing = [key for key in REQUIRED_METADATA if key not in metadata]
     if missing:
         raise ModelError(f"{path}: metadata {', '.join(missing)} missing; export it with `slipguard train`")

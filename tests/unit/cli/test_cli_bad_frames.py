@@ -120,6 +120,10 @@ MODELS = {
     "corrupt": (default_model_path().read_bytes()[:9000], "not a readable ONNX model"),
     "text": (b"weights go here", "not a readable ONNX model"),
     "other inputs": (_other_inputs(), "the model contract asks for"),
+    "metadata that are no text": (
+        default_model_path().read_bytes().replace(b"displaced", b"\xff" * 9),
+        "its metadata are not text",
+    ),
     "constant output": (_constant_output(), "the output is the same for different frames"),
 }
 
