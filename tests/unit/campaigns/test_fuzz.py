@@ -11,7 +11,7 @@ import pytest
 from slipguard.errors import InputError
 from tests.campaigns import fuzz_cases
 from tests.campaigns.command_line import run
-from tests.campaigns.fuzz import FuzzResult, run_kind
+from tests.campaigns.fuzz import FuzzResult, fuzz, run_kind
 from tests.campaigns.fuzz_cases import KINDS, changed_bytes, changed_value, run_case
 
 
@@ -78,6 +78,4 @@ def test_failures_and_memory_are_judged(found: FuzzResult, failure: str | None) 
 def test_an_unknown_kind_is_refused() -> None:
     assert run(["fuzz", "imagge"]) == 2
     with pytest.raises(InputError, match="imagge: no such kind; choose from configuration"):
-        from tests.campaigns.fuzz import fuzz
-
         fuzz(["imagge"])
