@@ -85,10 +85,14 @@ class ReferenceStore:
         Raises InputError if it is damaged.
         """
         path = self._folder / f"{finger}.json"
-        if not path.exists():
-            return None
         try:
-            facts = _ReferenceFacts.model_validate_json(read_limited(path, FILE_MAX_BYTES))
+            content = read_limited(path, FILE_MAX_BYTES)
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read ({error.strerror}); a new reference will be taken") from error
+        try:
+            facts = _ReferenceFacts.model_validate_json(content)
             png = read_limited(path.with_suffix(".png"), FILE_MAX_BYTES)
         except (OSError, ValidationError) as error:
             raise InputError(f"{path}: cannot be read; a new reference will be taken") from error

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -12,9 +14,15 @@ import cv2
 import numpy as np
 import pytest
 
+from slipguard.control.needed_force import STIFFNESS_PRIOR
+from slipguard.control.state import Adoption
 from slipguard.daemon.store.background_images import BackgroundImage
+from slipguard.daemon.store.gel_stiffness import restore_stiffness
+from slipguard.daemon.store.last_grasp import restore_control_state
+from slipguard.daemon.store.last_reference import ReferenceStore
 from slipguard.daemon.store.state_dir import KEPT, LastGrasp, StateDir, default_state_path
-from slipguard.errors import ConfigError, InputError
+from slipguard.errors import ConfigError, InputError, SlipguardError
+from slipguard.perception.stored_reference import StoredReference
 
 
 def no_contact(level: int = 90) -> BackgroundImage:
@@ -106,6 +114,41 @@ def test_a_folder_of_images_that_cannot_be_read_is_an_error_with_its_name(tmp_pa
     (tmp_path / "sensors" / "D20479").symlink_to("D20479")
     with pytest.raises(InputError, match=r"sensors/D20479: cannot be read \(Too many levels of symbolic links\)"):
         StateDir(tmp_path).load_background("D20479")
+
+
+@contextlib.contextmanager
+def no_access(folder: Path) -> Iterator[None]:
+    """As if the folder belonged to another user; root becomes one meanwhile."""
+    is_root = os.geteuid() == 0
+    folder.chmod(0)
+    if is_root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if is_root:
+            os.seteuid(0)
+        folder.chmod(0o700)
+
+
+def test_another_users_folder_is_reported_and_does_not_say_that_nothing_was_held(tmp_path: Path) -> None:
+    state, references = StateDir(tmp_path / "state"), ReferenceStore(tmp_path / "state" / "references")
+    state.save_background("D20479", no_contact())
+    state.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC), force_n=40.0, width_mm=18.0))
+    references.save("left", "D20479", StoredReference(no_contact().image, 0.0, 0.0))
+    lines: list[str] = []
+    with no_access(tmp_path / "state"):
+        assert restore_control_state(state, warning=lines.append).grasp.adoption == Adoption(outdated=True)
+        assert restore_stiffness(state, ["D20479"], lines.append) == STIFFNESS_PRIOR
+        for read in (state.load_background, state.background_versions, state.first_of_gel, state.load_stiffness):
+            with pytest.raises(InputError, match="cannot be read"):
+                read("D20479")
+        with pytest.raises(InputError, match="cannot be read"):
+            references.load("left", "D20479")
+        with pytest.raises(SlipguardError, match="Permission denied"):
+            state.save_background("D20479", no_contact())
+    assert [line.count("cannot be read (Permission denied)") for line in lines] == [1, 1]
+    assert restore_control_state(state).grasp.adoption.remembered is not None, "the file is as it was"
 
 
 def test_a_missing_image_is_an_error_with_its_name(tmp_path: Path) -> None:
