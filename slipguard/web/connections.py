@@ -17,7 +17,8 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 REQUEST_TIMEOUT_S = 10.0
-"""From the first byte, or the start of the connection, to the end of the request's headers."""
+"""From the first byte, or the start of the connection, to the end of the request's headers; an unknown client must also
+have read its response by then."""
 HEADERS_MAX_BYTES = 16 * 1024
 """Of a request line with its headers: browsers send the cookies of every program on this host."""
 PIECE_BYTES = 4096
@@ -116,9 +117,9 @@ class BoundedHttpProtocol(H11Protocol):
         upgraded = self.transport.get_protocol() is not self
         if self._receive_queue is not None and (upgraded or not self.flow.read_paused):
             self.transport.resume_reading()
-        if upgraded or self._responding:
+        if upgraded or (self._responding and self._is_known):
             self._cancel_timeout()
-        elif self._timeout is None and not self.transport.is_closing():
+        elif not self.transport.is_closing() and (self._timeout is None or not self._is_known):
             self._start_timeout()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -136,11 +137,8 @@ class BoundedHttpProtocol(H11Protocol):
 
     def _has_room(self) -> bool:
         """Return whether this connection is within the limit, after closing an unknown client's if necessary."""
-        alike = [
-            one
-            for one in self.connections
-            if isinstance(one, BoundedHttpProtocol) and one._is_known == self._is_known and one is not self
-        ]
+        others = [one for one in self.connections if isinstance(one, BoundedHttpProtocol) and one is not self]
+        alike = [one for one in others if one._is_known == self._is_known and not one.transport.is_closing()]
         if self._is_known:
             return len(alike) < KNOWN_MAX
         return len(alike) < UNKNOWN_MAX or self._close_longest_idle(alike)
@@ -152,15 +150,14 @@ class BoundedHttpProtocol(H11Protocol):
     @staticmethod
     def _close_longest_idle(others: list[BoundedHttpProtocol]) -> bool:
         """Close the connection that has been idle longest; return False if none is idle."""
-        idle = [
-            one for one in others if not one._responding and not one._waits_in_queue and not one.transport.is_closing()
-        ]
+        idle = [one for one in others if not one._responding and not one._waits_in_queue]
         if not idle:
             return False
         min(idle, key=lambda one: one._received_at_s).transport.abort()
         return True
 
     def _start_timeout(self) -> None:
+        self._cancel_timeout()
         self._timeout = self.loop.call_later(REQUEST_TIMEOUT_S, self.transport.abort)
 
     def _cancel_timeout(self) -> None:

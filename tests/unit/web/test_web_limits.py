@@ -191,6 +191,21 @@ async def test_a_request_in_pieces_is_recognized_by_its_token(
         assert (await reader.read()).startswith(OK)
 
 
+async def test_a_response_to_an_unknown_client_times_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """One that reads nothing would keep its place."""
+    monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.3)
+    daemon, answer = FakeDaemonApi(), asyncio.Event()
+
+    async def late(finger: str, after: int | None = None) -> None:
+        await answer.wait()
+
+    monkeypatch.setattr(daemon, "frame", late)
+    async with served_on_tcp(daemon, tmp_path) as (port, _), opened(port, 1) as held:
+        held[0][1].write(f"GET /frame/left HTTP/1.1\r\nhost: 127.0.0.1:{port}\r\n\r\n".encode())
+        assert await is_closed(held[0])
+        answer.set()
+
+
 async def test_silent_connections_time_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(connections, "REQUEST_TIMEOUT_S", 0.2)
     async with served_on_tcp(FakeDaemonApi(), tmp_path) as (port, _), opened(port, 2) as held:
