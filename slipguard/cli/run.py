@@ -147,6 +147,7 @@ def _find_problems(config: Config) -> Iterator[str]:
     from slipguard.daemon.run import recordings_path
     from slipguard.daemon.store.state_dir import StateDir
     from slipguard.errors import SlipguardError, describe_error
+    from slipguard.web.sockets import PATH_MAX_BYTES
 
     model = config.perception.model
     if model is not None and not model.is_file():
@@ -163,6 +164,8 @@ def _find_problems(config: Config) -> Iterator[str]:
             yield f"{key}: {there} is not a folder; move it, or set {key} to another path"
     if socket_path(config).is_dir():
         yield f"api.socket = {socket_path(config)}: a folder; give the path of a file"
+    if len(os.fsencode(socket_path(config))) > PATH_MAX_BYTES:
+        yield f"api.socket = {socket_path(config)}: longer than {PATH_MAX_BYTES} bytes, the maximum of a Unix socket"
     try:
         gripper_min_n, gripper_max_n = _devices(config)["gripper"].force_limits_n
         valid = 0.0 <= gripper_min_n < gripper_max_n < math.inf

@@ -329,6 +329,11 @@ UNWORKABLE = [
         '[left]\ndriver = "replay"\nreplay = {{path = "{here}"}}',
         "left.digit: no such key",
     ),
+    (
+        '# socket = "/run/slipguard/slipguard.sock"',
+        f'socket = "/run/{"x" * 103}"',
+        f"api.socket = /run/{'x' * 103}: longer than 107 bytes",
+    ),
     ('# socket = "/run/slipguard/slipguard.sock"', 'socket = "a\\u0000"', "'api.socket': contains a NUL"),
     ('# directory = "/var/lib/slipguard"', 'directory = "a\\u0000b"', "'state.directory': contains a NUL"),
     ("force_max_n = 130", f"force_max_n = 1{'0' * 5000}", "not valid TOML: Exceeds the limit (4300 digits)"),
