@@ -47,7 +47,6 @@ def run(
     from slipguard.daemon.lifecycle import exit_if_stuck
     from slipguard.daemon.store.last_config import last_config_path, read_or_last
 
-    os.umask(os.umask(0o077) | 0o027)  # recordings show the cell: for this user and its group only
     problem = None
     if sim:
         settings = sim_config() if config == USUAL_FILE and not config.exists() else read_config(config, sim=True)

@@ -31,6 +31,8 @@ RESERVE_MAX_BYTES = 256 * 2**20
 """This much of the disk stays free, or `RESERVE_SHARE` of it if that is less."""
 FILE_MIN_BYTES = 2 * 2**20
 """Smallest size at which a file ends: each begins with the background images, some 300 kB."""
+FOLDER_MODE = 0o750
+"""Recordings show the cell: for the daemon's user and its group only."""
 FILES_MAX = 5000
 """Ended files that are remembered: the longest ring, of one day."""
 
@@ -65,8 +67,12 @@ class Ring:
 
     def new(self, wall_ns: int) -> Path:
         """Return the path of the recording that begins now."""
-        self.ring.mkdir(parents=True, exist_ok=True)
-        self.kept.mkdir(exist_ok=True)  # now, because on a full disk files can be moved, but no folder can be made
+        for folder in (
+            self.ring.parent,
+            self.ring,
+            self.kept,
+        ):  # now: on a full disk files can be moved, not folders made
+            folder.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
         began = datetime.fromtimestamp(wall_ns * 1e-9, UTC)
         name = f"{began:%Y%m%dT%H%M%S}.{began.microsecond // 1000:03d}Z"
         path = self.ring / (name + SUFFIX)
@@ -80,7 +86,7 @@ class Ring:
         """Move a finished recording out of the ring, after making room for it; return its new path."""
         if path.parent == self.kept:
             return path
-        self.kept.mkdir(parents=True, exist_ok=True)
+        self.kept.mkdir(mode=FOLDER_MODE, parents=True, exist_ok=True)
         _delete_beyond(_newest_first(self.kept, also=path), None, self._limits.kept_bytes, path)
         return path.rename(self.kept / path.name)
 

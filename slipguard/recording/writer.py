@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,8 +51,8 @@ class RecordingHeader:
 
 
 def open_new(path: Path) -> BinaryIO:
-    """Open a new file, unbuffered. Raises FileExistsError instead of overwriting one."""
-    return open(path, "xb", buffering=0)
+    """Open a new file, unbuffered, for its user and group only. Raises FileExistsError instead of overwriting one."""
+    return open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o640), "wb", buffering=0)
 
 
 class RecordingFile:

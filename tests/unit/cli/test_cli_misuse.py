@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
@@ -259,24 +258,6 @@ def test_a_failure_of_the_daemon_is_one_line(
         ran = slipguard(capfd, "run", "--sim")
         assert ran.complaint.startswith(line)
         assert ran.code == code
-
-
-@pytest.mark.parametrize("before", [0o000, 0o077])
-def test_files_of_the_daemon_are_for_its_user_and_group_only(
-    before: int, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    async def records(*arguments: object, **named: object) -> None:
-        (tmp_path / "recordings").mkdir()
-        (tmp_path / "recordings" / "x.mcap").write_text("")
-
-    monkeypatch.setattr(root, "run", records)
-    own = os.umask(before)
-    try:
-        assert slipguard(capfd, "run", "--sim").code == 0
-    finally:
-        os.umask(own)
-    modes = [path.stat().st_mode & 0o777 for path in (tmp_path / "recordings", tmp_path / "recordings" / "x.mcap")]
-    assert modes == ([0o700, 0o600] if before else [0o750, 0o640])
 
 
 def test_an_internal_error_is_not_hidden(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -95,6 +95,23 @@ def test_a_recording_is_read_as_written(tmp_path: Path) -> None:
     assert shown.value.pixels().shape == (320, 240, 3)
 
 
+@pytest.mark.parametrize(
+    ("umask", "modes"), [(0o000, [0o750, 0o640]), (0o022, [0o750, 0o640]), (0o077, [0o700, 0o600])]
+)
+def test_recordings_are_for_their_user_and_group_only(umask: int, modes: list[int], tmp_path: Path) -> None:
+    own = os.umask(umask)
+    try:
+        ring = Ring(tmp_path / "recordings", RingLimits(3, 10**9, 10**9))
+        path = ring.new(CLOCK.wall_ns)
+        written(path, 1).close()
+        kept = ring.keep(path)
+    finally:
+        os.umask(own)
+    folders = (ring.ring.parent, ring.ring, ring.kept)
+    assert [folder.stat().st_mode & 0o777 for folder in folders] == modes[:1] * 3
+    assert kept.stat().st_mode & 0o777 == modes[1]
+
+
 def test_an_independent_reader_finds_every_message_and_a_schema_for_each_topic(tmp_path: Path) -> None:
     written(tmp_path / "a.mcap").close()
     with (tmp_path / "a.mcap").open("rb") as file:
