@@ -215,6 +215,12 @@ def recording(draw: Random, folder: Path) -> int:
 
 
 def image(draw: Random, folder: Path) -> int:
+    """An image, or a video."""
+    if draw.random() < 0.15:
+        ending, code = draw.choice(((".avi", "MJPG"), (".mkv", "FFV1"), (".mp4", "avc1"), (".avi", "I420")))
+        path = folder / f"a{ending}"
+        path.write_bytes(changed_bytes(draw, video(ending, code)))
+        return run(["measure", str(path), "--json"])
     ending = draw.choice((".png", ".jpg", ".bmp", ".tif", ".webp"))
     shown = draw.choice((gel_image(1), gel_image(1), cv2.resize(gel_image(1), (480, 640)), gel_image(1)[:100]))
     settings = draw.choice(([], [cv2.IMWRITE_JPEG_PROGRESSIVE, 1], [cv2.IMWRITE_JPEG_RST_INTERVAL, 4]))
@@ -249,7 +255,6 @@ def model(draw: Random, folder: Path) -> int:
     path = folder / "net.onnx"
     path.write_bytes(b"".join(parts))
     config = folder / "config.toml"
-    config.write_text((ROOT / "config.toml").read_text() + f'\n[perception]\nmodel = "{path}"\n')
     shipped = (ROOT / "config.toml").read_text()
     config.write_text(shipped.replace('# model = "models/tsnn-small.onnx"', f'model = "{path}"'))
     return run(["check", "--config", str(config)])
@@ -322,6 +327,21 @@ def gel_image(number: int) -> Image:
     """A pressed bar, rotated by 5° for each number, (320, 240, 3) uint8."""
     camera = GelCamera(SensorUnit(), seed=number)
     return camera.draw(GelView("bar", angle_deg=20.0 + 5.0 * number, depth_mm=0.8))
+
+
+@cache
+def video(ending: str, code: str) -> bytes:
+    """Eight frames; another codec where this OpenCV cannot write the wanted one."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"a{ending}"
+        for one in (code, "mp4v", "MJPG"):
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*one), 30.0, (240, 320))
+            if writer.isOpened():
+                break
+        for number in range(8):
+            writer.write(gel_image(number % 4))
+        writer.release()
+        return path.read_bytes()
 
 
 @cache
