@@ -21,8 +21,11 @@ from slipguard.limited_read import read_limited
 
 FILE_MAX_BYTES = 64 * 2**20
 """More than the largest image needs without compression, at 16 bits per channel."""
-TIFF_BITS_MAX = 16
+TIFF_GRAY_BITS_MAX = 16
+"""Of a mask."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_PNG_COLOR = (2, 6)
+"""Color types RGB and RGBA."""
 _TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 _JPEG_END = b"\xff\xd9"
 _TIFF_BITS, _TIFF_TILES = 258, (322, 323)
@@ -47,7 +50,7 @@ def decode_file(path: Path, flags: int) -> NDArray[Any]:
         raise InputError(f"{path}: cannot read the file: {error.strerror}") from error
     found_damage = _damage(data)
     if found_damage:
-        raise InputError(f"{path}: {found_damage}. Give an intact image file")
+        raise InputError(f"{path}: {found_damage}. Give an intact 8-bit image file")
     with _stderr_captured() as written:
         try:
             pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -60,7 +63,7 @@ def decode_file(path: Path, flags: int) -> NDArray[Any]:
         raise InputError(f"{path}: not a decodable image. Give an 8-bit color PNG or JPEG")
     # libjpeg fills what is missing, and reports it on stderr only.
     if b"premature end" in messages.lower() or b"bad Huffman code" in messages:
-        raise InputError(f"{path}: the JPEG is truncated or damaged. Give an intact image file")
+        raise InputError(f"{path}: the JPEG is truncated or damaged. Give an intact 8-bit image file")
     return np.asarray(pixels)
 
 
@@ -80,6 +83,8 @@ def _damage(data: bytes) -> str | None:
 
 
 def _png_damage(data: bytes) -> str | None:
+    if len(data) > 25 and data[24] == 16 and data[25] in _PNG_COLOR:
+        return "16 bits per channel"  # twice as much memory, for nothing
     at = len(_PNG)
     while at + 12 <= len(data):
         length = int.from_bytes(data[at : at + 4], "big")
@@ -108,8 +113,8 @@ def _tiff_damage(data: bytes) -> str | None:
             if tag == _TIFF_BITS:
                 where = entry + 8 if count <= 2 else struct.unpack_from(f"{order}I", data, entry + 8)[0]
                 bits = max(struct.unpack_from(f"{order}{min(count, 8)}H", data, where), default=0)
-                if kind != _TIFF_SHORT or bits > TIFF_BITS_MAX:
-                    return f"{bits} bits per channel. 8-bit color is needed"
+                if kind != _TIFF_SHORT or bits > (TIFF_GRAY_BITS_MAX if count == 1 else 8):
+                    return f"{bits} bits per channel"
     except struct.error:
         return "the TIFF is truncated"
     return None

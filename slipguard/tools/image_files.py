@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard import IMAGE_PIXELS_MAX
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.tools.image_decoding import decode_file
@@ -20,6 +19,8 @@ IMAGE_ENDINGS = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".w
 VIDEO_ENDINGS = frozenset({".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v", ".mjpeg", ".mjpg"})
 STILL_IMAGES_FPS = 30.0
 """Image files have no time stamps; they count as one recording at the usual rate of a DIGIT."""
+VIDEO_PIXELS_MAX = 2**23
+"""4K has 8.3 million. A decoder keeps several frames."""
 DARK_LEVEL, BRIGHT_LEVEL = 8, 247
 
 
@@ -136,8 +137,8 @@ def read_video(path: Path) -> Iterator[tuple[float, NDArray[np.uint8]]]:
         if not video.isOpened():
             raise InputError(f"{path}: not a decodable video. Give an MP4, AVI or MKV file")
         size = (int(video.get(cv2.CAP_PROP_FRAME_WIDTH)), int(video.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-        if size[0] * size[1] > IMAGE_PIXELS_MAX:
-            raise InputError(f"{path}: {size[0]}x{size[1]} pixels, more than {IMAGE_PIXELS_MAX}. Give a smaller video")
+        if size[0] * size[1] > VIDEO_PIXELS_MAX:
+            raise InputError(f"{path}: {size[0]}x{size[1]} pixels, more than {VIDEO_PIXELS_MAX}. Give a smaller video")
         fps = video.get(cv2.CAP_PROP_FPS)
         step_s = 1.0 / fps if 1.0 <= fps <= 1000.0 else 1.0 / STILL_IMAGES_FPS
         announced = int(video.get(cv2.CAP_PROP_FRAME_COUNT))

@@ -186,10 +186,10 @@ def test_backgrounds_that_cannot_be_used_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no image"):
         read_backgrounds(tmp_path)
     (tmp_path / "a.png").write_bytes(b"not an image")
-    with pytest.raises(InputError, match=r"a\.png: not a readable image"):
+    with pytest.raises(InputError, match=r"a\.png: not a decodable image"):
         read_backgrounds(tmp_path)
     (tmp_path / "a.png").write_bytes(b"")
-    with pytest.raises(InputError, match=r"a\.png: not a readable image"):
+    with pytest.raises(InputError, match=r"a\.png: the file is empty"):
         read_backgrounds(tmp_path)
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((240, 320, 3), np.uint8))
     with pytest.raises(InputError, match=r"320 wide x 240 high"):

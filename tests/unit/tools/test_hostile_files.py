@@ -26,7 +26,7 @@ from slipguard.recording.ring import MAGIC
 
 MEMORY_MAX_KB = 300_000
 COLOR = (10, 120, 200)
-SIDE_PX = 3000
+SIDE_PX = 3600
 
 
 def bomb_png() -> bytes:
@@ -68,12 +68,12 @@ def bomb_tiff(tags: dict[int, tuple[int, list[int]]]) -> bytes:
 
 
 IMAGES: dict[str, tuple[Callable[[], bytes], str]] = {
-    "png": (bomb_png, "more than 8388608 pixels"),
-    "bmp": (bomb_bmp, "more than 8388608 pixels"),
-    "jpg": (encoded(".jpg"), "more than 8388608 pixels"),
-    "jpg, progressive": (encoded(".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1), "more than 8388608 pixels"),
-    "webp": (encoded(".webp"), "more than 8388608 pixels"),
-    "tif": (encoded(".tif"), "more than 8388608 pixels"),
+    "png": (bomb_png, "more than 12500000 pixels"),
+    "bmp": (bomb_bmp, "more than 12500000 pixels"),
+    "jpg": (encoded(".jpg"), "more than 12500000 pixels"),
+    "jpg, progressive": (encoded(".jpg", cv2.IMWRITE_JPEG_PROGRESSIVE, 1), "more than 12500000 pixels"),
+    "webp": (encoded(".webp"), "more than 12500000 pixels"),
+    "tif": (encoded(".tif"), "more than 12500000 pixels"),
     "tif, tiles": (lambda: bomb_tiff({322: (4, [16_000]), 323: (4, [16_000])}), "a TIFF in tiles"),
     "tif, 64 bits": (lambda: bomb_tiff({258: (3, [64, 64, 64])}), "64 bits per channel"),
 }
@@ -192,12 +192,24 @@ def test_an_image_that_would_fill_the_memory_is_refused(kind: str, tmp_path: Pat
     assert memory_kb < MEMORY_MAX_KB
 
 
-def test_the_largest_image_takes_little_memory(tmp_path: Path) -> None:
-    image = np.zeros((3300, 2500, 4), np.uint16)
+LARGEST = {
+    "png": (".png", np.uint8, 4, "partly transparent"),
+    "png, 16 bits": (".png", np.uint16, 4, "16 bits per channel"),
+    "tif, 16 bits": (".tif", np.uint16, 4, "16 bits per channel"),
+    "jpg": (".jpg", np.uint8, 3, "4100x3000"),
+    "webp": (".webp", np.uint8, 3, "4100x3000"),
+}
+
+
+@pytest.mark.parametrize("kind", LARGEST)
+def test_the_largest_images_take_little_memory(kind: str, tmp_path: Path) -> None:
+    ending, dtype, channels, reason = LARGEST[kind]
+    image = np.zeros((3000, 4100, channels), dtype)
+    image[..., 0] = 5
     assert 0.95 * IMAGE_PIXELS_MAX < image.shape[0] * image.shape[1] < IMAGE_PIXELS_MAX
-    (tmp_path / "large.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
-    code, errors, memory_kb = run("measure", tmp_path / "large.png", "--json")
-    assert "16 bits per channel" in errors.splitlines()[-1]
+    (tmp_path / f"large{ending}").write_bytes(cv2.imencode(ending, image)[1].tobytes())
+    code, errors, memory_kb = run("measure", tmp_path / f"large{ending}", "--json")
+    assert reason in errors.splitlines()[-1]
     assert code == 2
     assert memory_kb < MEMORY_MAX_KB
 
