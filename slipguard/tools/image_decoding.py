@@ -20,7 +20,7 @@ from slipguard.errors import InputError
 from slipguard.limited_read import read_limited
 
 FILE_MAX_BYTES = 64 * 2**20
-"""More than the largest image needs without compression, at 16 bits per channel."""
+"""More than the largest image of 8 bits takes without compression."""
 TIFF_GRAY_BITS_MAX = 16
 """Of a mask."""
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
