@@ -61,6 +61,7 @@ RUN_BY = {
     "python -m tests.campaigns ablations": f"{UNIT}/campaigns/test_ablations.py",
     "python -m tests.campaigns api-load": f"{UNIT}/campaigns/test_api_load.py",
     "python -m tests.campaigns faults": f"{UNIT}/campaigns/test_fault_campaign.py",
+    "python -m tests.campaigns fit-sigma": f"{UNIT}/campaigns/test_fit_sigma.py",
     "python -m tests.campaigns fuzz": f"{UNIT}/campaigns/test_fuzz.py",
     "python -m tests.campaigns hostile-clients": f"{UNIT}/campaigns/test_hostile_clients.py",
     "python -m tests.campaigns network-table": f"{UNIT}/campaigns/test_paper_networks.py",
