@@ -84,7 +84,7 @@ class TextureTracker:
         if lost and pausing and last is not None:
             return last
         found = self._near(texture_map, start)
-        searches = (lost or max(one.alike for one in found) < FOUND_ALIKE) and not (pausing and not lost)
+        searches = lost or (max(one.alike for one in found) < FOUND_ALIKE and not pausing)
         if searches:
             self._search(found, texture_map, start, center_px, now_s)
         found = [one for one in found if one.declined is None] or found
