@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
 
+BLACK, WHITE = 2, 253
+NOISE_SHARE_MIN = 0.01
+"""Share of values between black and white from which on frames cannot be equal by chance: 2,300 values with noise."""
 SHAPE = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
 FROZEN_AFTER = 3
 """Repetitions in a row that count as a frozen camera. Fewer are the duplicates that USB cameras deliver now and then;
@@ -100,8 +103,12 @@ class FrameStream:
                 ) from None
 
     def _is_repeated(self, image: NDArray[np.uint8]) -> bool:
-        """Return whether the image equals the last one, or the last one that was returned."""
-        return any(frame is not None and _equal(image, frame.image) for frame in (self._last, self._returned))
+        """Return whether the image equals the last one, or the last one that was returned.
+
+        A black or white image has no noise in which two frames differ: it is returned, and its light is checked.
+        """
+        same = any(frame is not None and _equal(image, frame.image) for frame in (self._last, self._returned))
+        return same and bool(np.count_nonzero((image > BLACK) & (image < WHITE)) > NOISE_SHARE_MIN * image.size)
 
     def _set_newest(self, newest: Frame | DeviceError) -> None:
         self._newest = newest

@@ -106,3 +106,11 @@ def test_images_are_read_only(stream: FrameStream) -> None:
     frame = run_virtual(stream.next())
     with pytest.raises(ValueError, match="read-only"):
         frame.image[0, 0, 0] = 1
+
+
+@pytest.mark.parametrize("level", [0, 1, 255])
+def test_a_black_or_white_camera_does_not_count_as_frozen(stream: FrameStream, level: int) -> None:
+    """Its images have no noise in which they could differ; perception names the light."""
+    for sequence in range(1, 8):
+        stream.put(np.full((320, 240, 3), level, np.uint8), 0.1 * sequence, sequence)
+        assert outcomes(stream, 1) == [sequence]
