@@ -35,8 +35,8 @@ def with_lines(image: Image) -> Image:
 def test_dead_lines_are_found_and_interpolated() -> None:
     sound = rotated_grasp(3).background
     lines = DeadLines(with_lines(sound))
-    assert lines.rows == tuple(ROWS)
-    assert lines.columns == tuple(COLUMNS)
+    assert lines.rows == list(ROWS)
+    assert lines.columns == list(COLUMNS)
     spoiled = with_lines(sound)
     whole = lines.interpolate(spoiled)
     off = np.abs(whole.astype(np.int16) - sound)
@@ -52,7 +52,7 @@ def test_dead_lines_are_found_and_interpolated() -> None:
 def test_a_healthy_unit_has_none_and_its_frames_are_not_copied(unit: int) -> None:
     no_contact = GelCamera(random_unit(np.random.default_rng(unit)), seed=unit).no_contact()
     lines = DeadLines(no_contact)
-    assert (lines.rows, lines.columns) == ((), ())
+    assert (lines.rows, lines.columns) == ([], [])
     assert lines.interpolate(no_contact) is no_contact
 
 
@@ -60,12 +60,12 @@ def test_a_healthy_unit_has_none_and_its_frames_are_not_copied(unit: int) -> Non
 @pytest.mark.parametrize("strength", [0.03, 0.25, 1.0])
 def test_other_distortions_are_not_taken_for_dead_lines(spoil: str, strength: float) -> None:
     lines = DeadLines(DISTORTIONS[spoil](rotated_grasp(1).background, strength, np.random.default_rng(4)))
-    assert (lines.rows, lines.columns) == ((), ())
+    assert (lines.rows, lines.columns) == ([], [])
 
 
 def test_an_image_of_lines_only_is_left_unchanged() -> None:
     striped = np.repeat(np.arange(320, dtype=np.uint8)[:, None, None] % 2 * 200, 240, axis=1).repeat(3, axis=2)
-    assert DeadLines(striped).rows == ()
+    assert DeadLines(striped).rows == []
     assert DeadLines(None).interpolate(striped) is striped
 
 
