@@ -30,6 +30,7 @@ from slipguard.control.messages import (
     StepOutput,
     without_figures,
 )
+from slipguard.control.object_presence import late_contact, watch_object
 from slipguard.control.params import GuardParams
 from slipguard.control.phases import act, latch
 from slipguard.control.release import request_release
@@ -39,8 +40,6 @@ from slipguard.control.state import AT_STAKE, FORCE_TOLERANCE_N, GraspState, Per
 from slipguard.control.stop import follow_stop, request_stop
 from slipguard.control.supervisor import Supervision, supervise
 
-LOST_ALONE_TIMES = 3.0
-"""A loss that one finger alone reports, and the gripper does not, must last this many times `lost_after_s`."""
 CARRIED_MM = 3.0
 """An object that was lifted this far is carried, at least at one end."""
 NOTED_IN = AT_STAKE - {Phase.CLOSING, Phase.REFERENCE}
@@ -80,7 +79,8 @@ def step(state: GraspState, observation: Observation, params: GuardParams) -> Re
         return request_release(state, observation, params)
     if observation.request.kind is RequestKind.STOP:
         return request_stop(*step(state, replace(observation, request=NO_REQUEST), params), observation)
-    state, lost = _watch_object(state, observation, params)
+    unwatched = state
+    state, lost = watch_object(state, observation, params)
     watched = observation if lost is None else observation.with_fault(lost)
     at_stake = state.phase in AT_STAKE or (state.phase is Phase.IDLE and state.waits_for_gripper)
     if watched.fault is not None and at_stake:
@@ -94,6 +94,9 @@ def step(state: GraspState, observation: Observation, params: GuardParams) -> Re
     state, output = act(state, watched, params)
     state, output = _keep_force(state, output, observation)
     state, output = _halt(state, output, observation, params)
+    late = late_contact(unwatched, state, observation)
+    if late is not None:
+        output = replace(output, is_warning=True).with_messages(late)
     state, output = _report_notes(state, output, observation)
     if state.fault is not None and state.phase is Phase.FAULT and before is not Phase.FAULT:
         output = _refuse_request(state.fault, output, observation)
@@ -140,44 +143,6 @@ def _follow_arm(state: GraspState, observation: Observation) -> GraspState:
     if near is before.now and after_stop is before.after_stop:
         return state
     return replace(state, person=PersonNear(near, after_stop=after_stop))
-
-
-def _watch_object(state: GraspState, observation: Observation, params: GuardParams) -> tuple[GraspState, Fault | None]:
-    """Return the fault of a lost object, after the loss has lasted `lost_after_s`."""
-    held = (state.phase in AT_STAKE and state.phase is not Phase.CLOSING) or (
-        state.phase is Phase.FAULT and state.grip.closed
-    )
-    why = _loss(observation) if held else None
-    if why is None:
-        return replace(state, held=replace(state.held, lost_since_s=None)), None
-    since_s = state.held.lost_since_s if state.held.lost_since_s is not None else observation.now_s
-    state = replace(state, held=replace(state.held, lost_since_s=since_s))
-    times = LOST_ALONE_TIMES if _reported_by_one_finger(observation) else 1.0
-    if observation.now_s - since_s < params.tuning.lost_after_s * times:
-        return state, None
-    return state, Fault(
-        FaultCode.OBJECT_LOST,
-        why,
-        "look for the object; if the jaws still touch it, support it, then release; otherwise clear",
-    )
-
-
-def _loss(observation: Observation) -> str | None:
-    gripper = observation.gripper
-    if gripper is not None and gripper.closed_on_nothing:
-        return "the gripper closed on nothing while holding"
-    if gripper is not None and not gripper.holding and not gripper.moving:
-        return "the gripper no longer holds anything"
-    if observation.fused is not None and observation.fused.none_touches:
-        return "no finger sees contact any more"
-    return None
-
-
-def _reported_by_one_finger(observation: Observation) -> bool:
-    fused, gripper = observation.fused, observation.gripper
-    if gripper is not None and not gripper.holding:
-        return False
-    return fused is not None and (fused.left_contact is None or fused.right_contact is None)
 
 
 def _keep_force(state: GraspState, output: StepOutput, observation: Observation) -> Result:

@@ -17,11 +17,10 @@ SIGMA_FLOOR_DEG = 0.1
 """No estimate counts as more certain than this."""
 AGREE_SIGMAS = 3.0
 """Rotations further apart than this many combined standard deviations disagree."""
-DIFFER_SIGMAS = 5.0
-"""Two fingers contradict each other if they differ by more than this many combined standard deviations
-and by more than DIFFER_DEG plus DIFFER_SHARE of the larger rotation."""
 DIFFER_DEG = 3.0
-"""About twice the difference of two fingers in lifts, elastic torsion of soft pads included (1.6 degrees)."""
+"""Two fingers that disagree contradict each other if they also differ by more than this plus DIFFER_SHARE of the larger
+rotation: about twice the largest difference in lifts, elastic torsion of soft pads included (1.6 degrees; 0.6 times
+this limit in 20 rendered lifts)."""
 DIFFER_SHARE = 0.1
 """A finger's error grows with the rotation, by up to 4.5 % of it (one standard deviation)."""
 GAP_MAX_S = 0.1
@@ -39,7 +38,7 @@ class FusedEstimate:
     """The estimate of both fingers together.
 
     Args:
-        left_contact, right_contact: None if the finger gives no estimate at all.
+        left_contact, right_contact: None if the finger gives no estimate, or cannot see (`Estimate.unusable`).
         captured_at_s: the moment of `rotation_deg`.
         measured_at_s, newest_at_s: the oldest and the newest measurement used.
         fingers: which fingers estimate the rotation.
@@ -79,12 +78,6 @@ class FusedEstimate:
         """Contact in both fingers."""
         return self.left_contact is True and self.right_contact is True
 
-    @property
-    def none_touches(self) -> bool:
-        """At least one finger reports no contact, and none reports contact."""
-        contacts = (self.left_contact, self.right_contact)
-        return True not in contacts and False in contacts
-
 
 @dataclass(frozen=True, slots=True)
 class _Rotation:
@@ -118,8 +111,8 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
         rotations, behind = _aligned(rotations[0], rotations[1])
         notes += behind
     base = FusedEstimate(
-        left_contact=left.contact if left is not None else None,
-        right_contact=right.contact if right is not None else None,
+        left_contact=None if left is None or left.unusable else left.contact,
+        right_contact=None if right is None or right.unusable else right.contact,
         captured_at_s=min(estimate.captured_at_s for estimate in given),
         measured_at_s=min(estimate.measured_at_s for estimate in given),
         newest_at_s=max(estimate.measured_at_s for estimate in given),
@@ -151,7 +144,7 @@ def fuse(left: Estimate | None, right: Estimate | None) -> FusedEstimate | None:
 
 def _contact_radius_mm(given: list[Estimate]) -> float | None:
     """Return the mean radius: both fingers press with the same force, so their torques add up as the radii do."""
-    radii = [one.contact_radius_mm for one in given if one.contact_radius_mm is not None]
+    radii = [one.contact_radius_mm for one in given if one.contact_radius_mm is not None and not one.unusable]
     radii = [radius_mm for radius_mm in radii if 0.0 < radius_mm <= LARGEST]
     return sum(radii) / len(radii) if radii else None
 
@@ -245,7 +238,7 @@ def _conflict(left: _Rotation, right: _Rotation) -> str | None:
             "a fault of one finger, or the object rolls"
         )
     larger_deg = max(abs(left.rotation_deg), abs(right.rotation_deg))
-    if apart > DIFFER_SIGMAS and apart_deg > DIFFER_DEG + DIFFER_SHARE * larger_deg:
+    if apart > AGREE_SIGMAS and apart_deg > DIFFER_DEG + DIFFER_SHARE * larger_deg:
         return (
             f"the fingers contradict each other (left {left.rotation_deg:+.1f}°, right {right.rotation_deg:+.1f}°): "
             "one is stuck or wrong, the larger rotation is used"

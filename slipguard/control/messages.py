@@ -14,7 +14,7 @@ from slipguard.devices import ArmState, GripperState
 
 
 class Condition(StrEnum):
-    """How a finger's frames arrive."""
+    """Whether a finger sees, or why not."""
 
     FRESH = "fresh"
     STALE = "stale"
@@ -25,6 +25,8 @@ class Condition(StrEnum):
     """Frames arrive, but the processing of one does not return, and its thread did not wait for a processor."""
     LOST = "lost"
     """The sensor is not connected."""
+    BLIND = "blind"
+    """Frames arrive, but do not show the gel: light, focus, format."""
 
 
 @dataclass(frozen=True, slots=True)

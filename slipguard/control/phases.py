@@ -108,7 +108,8 @@ def _reference(state: GraspState, observation: Observation, params: GuardParams)
     A grip that is too weak for the contact that they show is made firmer first, and then they take another reference.
     """
     fused, now_s, present_n = observation.fused, observation.now_s, state.grip.target_n
-    waited = now_s - state.since_s > params.tuning.reference_timeout_s
+    doubted = state.held.lost_since_s is not None  # no grip is made firmer for an object that no finger sees
+    waited = now_s - state.since_s > params.tuning.reference_timeout_s and not doubted
     estimated = fused is not None and fused.rotation_deg is not None and fused.measured_at_s >= state.since_s
     force = force_text(observation.gripper, present_n)
     ready = fused is not None and estimated and len(fused.fingers) == 2

@@ -94,6 +94,9 @@ class Text(Enum):
     # the fingers
     FINGER_NOTE = "{note}"
     FINGER_NOTE_OVER = "no longer: {note}"
+    CONTACT_LATE = (
+        "{fingers}: contact was seen {late_s:.2f} s after the grip: check whether the images are late (camera, cable)"
+    )
     # refusals
     FAULT_LATCHED = "a fault is latched ({code}); clear it first"
     NOT_IN_PHASE = "cannot {verb} while {phase}; {hint}"
@@ -148,6 +151,7 @@ class FaultCode(StrEnum):
     """Names of faults, for the log, the API and the page."""
 
     FRAMES_LOST = "frames lost"
+    FINGERS_BLIND = "fingers blind"
     ESTIMATE_UNTRUSTED = "estimate untrusted"
     GRIPPER_SILENT = "gripper silent"
     GRIPPER_FAULT = "gripper fault"

@@ -279,7 +279,8 @@ def _clear(state: GraspState, output: StepOutput, observation: Observation, para
     target_n = max(before.grip.target_n, gripper.force_n)
     grip = replace(state.grip, target_n=target_n, commanded_s=before.grip.commanded_s)
     motion = replace(state.arm, ground_mm=before.arm.ground_mm, start_mm=before.arm.start_mm)
-    state = replace(state, grip=grip, arm=motion)
+    held = replace(state.held, seen_by=before.held.seen_by)
+    state = replace(state, grip=grip, arm=motion, held=held)
     message = Text.CLEARED_HOLDING.message(force=force_text(gripper, target_n))
     return state, replace(output, new_reference=True).with_messages(message)
 

@@ -119,7 +119,7 @@ class HeldObject:
     Args:
         referenced: its rotation was estimated when it was gripped; no_estimate: else the reason.
         memory: of the slip detector. slip: the present episode.
-        lost_since_s: since when it seems to be lost.
+        seen_by: fingers that have seen contact in this grip. lost_since_s: since when it seems to be lost.
         at_limit_deg: rotation when the gripper first held with the force limit; None: it does not.
         first_n: force at its first slip; None: not yet. friction: estimated then.
         gel_learned: this grasp has shown the gel's stiffness.
@@ -132,6 +132,7 @@ class HeldObject:
     no_estimate: str | None = None
     memory: SlipMemory = field(default_factory=SlipMemory)
     slip: SlipEpisode | None = None
+    seen_by: frozenset[str] = frozenset()
     lost_since_s: float | None = None
     at_limit_deg: float | None = None
     first_n: float | None = None

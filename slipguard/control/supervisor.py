@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass, replace
 
 from slipguard.control.messages import Condition, FingerHealth, Observation
+from slipguard.control.object_presence import CHECK_IMAGES
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import AT_STAKE, MOVING, GraspState, Phase
@@ -95,7 +96,7 @@ def supervise(
     devices = _gripper(memory, observation, params), _frames(memory, observation, params)
     if not held:
         return memory, _merge_busy(devices)
-    memory = _follow_trust(memory, state, observation)
+    memory = _follow_trust(memory, state, observation, params)
     memory = _follow_tightening(memory, state, observation)
     memory = _follow_arm(memory, state, observation)
     checks = (
@@ -203,6 +204,8 @@ def _frames(memory: Supervision, observation: Observation, params: GuardParams) 
     if silent_s < timeout_s or _starts(memory, memory.frames_known, now_s, timeout_s):
         return None
     both = " and ".join(f"{name}: {finger.why or finger.condition}" for name, finger in fingers)
+    if any(finger.condition is Condition.BLIND for _, finger in fingers):
+        return Fault(FaultCode.FINGERS_BLIND, f"for {silent_s:.1f} s no finger sees ({both})", CHECK_IMAGES)
     if any(finger.condition is Condition.LATE for _, finger in fingers):
         return _busy(f"frames arrive, but are processed {silent_s:.1f} s late ({both})")
     if any(finger.condition is Condition.STUCK for _, finger in fingers):
@@ -214,20 +217,20 @@ def _frames(memory: Supervision, observation: Observation, params: GuardParams) 
     lost = Fault(
         FaultCode.FRAMES_LOST,
         f"no good frame for {silent_s:.1f} s ({both})" if math.isfinite(silent_s) else f"never a good frame ({both})",
-        "check the sensors' cables, then clear; until then slip is not detected",
+        "remove that cause, check the sensors' cables, then clear; until then slip is not detected",
     )
     connected = any(finger.condition is not Condition.LOST for _, finger in fingers)
     return _due_to_busy_machine(lost, observation, timeout_s, connected=connected)
 
 
-def _follow_trust(memory: Supervision, state: GraspState, observation: Observation) -> Supervision:
+def _follow_trust(memory: Supervision, state: GraspState, observation: Observation, params: GuardParams) -> Supervision:
     """Note why there is no rotation that can be trusted, and since when, if there was one after the grip.
 
     A firmer grip moves an imprint, that of a wedge by 1.2 mm in a grip 30 % firmer. So shifts that contradict each
     other after a tightening do not count.
     """
     fused, now_s = observation.fused, observation.now_s
-    if fused is None or not state.held.referenced or state.phase is Phase.REFERENCE:
+    if fused is None or not state.held.referenced or state.phase is Phase.REFERENCE or _no_frames(observation, params):
         return replace(memory, untrusted=None, untrusted_since_s=None)
     tightened = state.held.first_n is not None and state.grip.target_n > state.held.first_n
     conflict = fused.conflict or (None if tightened else fused.shift_conflict)

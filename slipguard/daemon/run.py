@@ -324,7 +324,8 @@ async def _first_responses(service: Service) -> None:
     loop = asyncio.get_running_loop()
     deadline_s = loop.time() + FIRST_RESPONSE_S
     while True:
-        missing = [finger.health.message for finger in service.fingers.values() if not finger.health.ready]
+        fingers, now_s = service.fingers.values(), loop.time()
+        missing = [finger.health.message for finger in fingers if not finger.delivers(now_s)]
         gripper_tried = service.gripper.health.ready or service.gripper.health.reason != NOT_TRIED
         if not missing and gripper_tried:
             return

@@ -14,7 +14,7 @@ from slipguard.devices import TactileSensor
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor.gripper import describe_times
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen, InputError
-from slipguard.perception.quality.torn_frame import TornFrames
+from slipguard.perception.quality.torn_frame import find_tear
 
 OBSERVE_S = 2.0
 FIRST_FRAME_S = 4.0
@@ -84,7 +84,7 @@ async def check_sensor(name: str, sensor: TactileSensor, settings: Any, store: S
 
 async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics:
     """Receive frames for a time after the first one, and count errors."""
-    statistics, torn_frames = FrameStatistics(), TornFrames()
+    statistics, last = FrameStatistics(), None
     loop = asyncio.get_running_loop()
     begin_s: float | None = None
     end_s = loop.time() + FIRST_FRAME_S
@@ -107,7 +107,8 @@ async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics
             statistics.captured_s.append(frame.captured_at_s)
             statistics.ages_s.append(loop.time() - frame.captured_at_s)
             statistics.sequences.append(frame.sequence)
-            statistics.torn += torn_frames.find(frame.image, frame.captured_at_s) is not None
+            statistics.torn += last is not None and find_tear(frame.image, last) is not None
+            last = frame.image
     return statistics
 
 

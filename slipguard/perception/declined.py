@@ -27,12 +27,7 @@ class DeclineReason(StrEnum):
     SHIFT_AMBIGUOUS = "periodic texture, shift ambiguous"
     GEL_MEMORY = "gel shows an earlier imprint"
     NOT_A_NUMBER = "not a number"
-    UNLIKE_BACKGROUND = "image unlike the background image"
-    OUT_OF_FOCUS = "image out of focus"
-    DARK = "image too dark"
-    COMPRESSED = "image coarsely compressed"
-    FEW_LEVELS = "image with too few gray levels"
-    NOISY = "image noisy"
+    IMAGE = "image unusable"
 
 
 def explain(reason: DeclineReason, detail: str) -> str:

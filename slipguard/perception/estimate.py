@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 
 from pydantic.json_schema import SkipJsonSchema
 
+from slipguard.perception.declined import DeclineReason
+
 
 @dataclass(frozen=True, slots=True)
 class AxisEstimate:
@@ -81,6 +83,11 @@ class Estimate:
     def decline_reason(self) -> str | None:
         """The reason of `declined` without its details: the same text as long as the cause is the same."""
         return None if self.declined is None else self.declined.partition(":")[0]
+
+    @property
+    def unusable(self) -> bool:
+        """The image shows neither rotation nor contact: `contact` is what the network made of it."""
+        return self.decline_reason == DeclineReason.IMAGE
 
     def without_motion(self, declined: str) -> Estimate:
         """Return the estimate without any rotation, shift or slide, declined for this reason."""

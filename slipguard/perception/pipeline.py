@@ -20,7 +20,7 @@ from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import Estimate, StageTimer
 from slipguard.perception.quality.dead_lines import DeadLines
 from slipguard.perception.quality.image_quality import ImageQuality
-from slipguard.perception.quality.torn_frame import TornFrames
+from slipguard.perception.quality.torn_frame import REFUSED_MAX_S, find_tear
 from slipguard.perception.rotation.axial_angle import wrap_axial_deg
 from slipguard.perception.rotation.reference import RotationMeasurement
 from slipguard.perception.rotation.rotation_meter import RotationMeter
@@ -100,7 +100,8 @@ class Pipeline:
         except FrameCorrupt as error:
             raise InputError(f"background image: {error}") from error
         self._quality = ImageQuality(background)
-        self._torn = TornFrames()
+        self._good: tuple[NDArray[np.uint8], float] | None = None
+        """The last frame that was not refused as torn, and its capture time."""
         self._segmenter = segmenter
         self._settings = settings
         self._background = background
@@ -172,6 +173,7 @@ class Pipeline:
         blocks = block_means(image)
         if not math.isfinite(now_s):
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
+        good, self._good = self._good, (image, now_s)
 
         unchanged = self._changes is not None and self._changes.unchanged(blocks)
         if self._changes is not None and self._changes.restored:  # what was measured since then is not valid
@@ -179,26 +181,32 @@ class Pipeline:
             self._measured, self._whole = (measured, whole) if since_s == self._changes.since_s else (None, None)
         repeated = self._repeat(frame, timer) if unchanged else None
         if repeated is not None:
-            self._torn.note_good(image, now_s)
             timer.mark("gate")
             return repeated
 
         timer.mark("gate")
         by_texture = self._measure_texture(image, blocks, frame, unchanged, timer)
         if by_texture is not None:  # even in a torn frame: a texture that has moved as a whole is in between its parts
-            self._torn.note_good(image, now_s)
             self._note_measured(blocks, self._whole.near if self._whole is not None else None, unchanged, by_texture)
             return by_texture
 
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
-            self._torn.note_good(image, now_s)
             self._forget_measured()
             self._patch = None
+            unusable = self._quality.check(image, blocks, None)
             timer.mark("gate")
+            if unusable is not None:
+                return self._declined(frame, unusable, timer)
             return self._declined(frame, DeclineReason.NO_CONTACT, timer, skipped=str(DeclineReason.NO_CONTACT))
 
-        self._refuse_torn(image, frame)
+        recent = good is not None and 0.0 <= now_s - good[1] < REFUSED_MAX_S
+        tear = find_tear(image, good[0]) if good is not None and recent else None
         timer.mark("gate")
+        if tear is not None:
+            self._good = good
+            raise FrameTorn(
+                f"frame {frame.sequence} is torn at {tear}: its parts are from different captures; it is skipped"
+            )
         return self._measure_segmented(image, blocks, frame, unchanged, timer)
 
     def _measure_segmented(
@@ -210,17 +218,16 @@ class Pipeline:
         timer.mark("segment")
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
         self._patch = patch
+        near = np.zeros(len(blocks), np.bool_) if patch is None else blocks_near(patch.full_mask())
+        unusable = self._quality.check(image, blocks, near)
         timer.mark("regions")
+        if unusable is not None:
+            self._forget_measured()
+            return self._declined(frame, unusable, timer)
         if patch is None:
             estimate = self._declined(frame, DeclineReason.NO_CONTACT, timer)
             self._note_measured(blocks, None, unchanged, estimate)
             return estimate
-
-        near = blocks_near(patch.full_mask())
-        quality = self._quality.check(image, blocks, near)
-        if quality.declined is not None:
-            self._forget_measured()
-            return self._declined(frame, quality.declined, timer)
 
         measurement = self._meter.measure(image, patch, frame.captured_at_s, timer)
         estimate = self._estimate(frame, patch, measurement, timer)
@@ -276,7 +283,6 @@ class Pipeline:
 
     def keep_estimate(self, captured_at_s: float) -> None:
         """Note a frame that is not processed because the other finger showed that nothing rotates."""
-        self._torn.note_unread(captured_at_s)
         self._meter.note_kept(captured_at_s)
 
     def restore_reference(self, image: NDArray[np.uint8], now_s: float, rotation_deg: float) -> bool:
@@ -300,18 +306,10 @@ class Pipeline:
         patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
         if patch is None:
             return False
-        quality = self._quality.check_blocks(blocks, blocks_near(patch.full_mask()))
-        if quality.declined is not None:
+        if self._quality.check(image, blocks, blocks_near(patch.full_mask())) is not None:
             return False
         self._meter.take_reference(image, patch, now_s, StageTimer(None), rotation_deg)
         return True
-
-    def _refuse_torn(self, image: NDArray[np.uint8], frame: Frame) -> None:
-        tear = self._torn.find(image, frame.captured_at_s)
-        if tear is not None:
-            raise FrameTorn(
-                f"frame {frame.sequence} is torn at {tear}: its parts are from different captures; it is skipped"
-            )
 
     def _repeat(self, frame: Frame, timer: StageTimer) -> Estimate | None:
         """Return the last estimate for an unchanged image, if it is recent, and the contact clear and long at rest."""

@@ -195,9 +195,7 @@ def test_a_thread_that_hangs_does_not_wait_for_a_processor() -> None:
     asyncio.run(main())
 
 
-def test_frames_that_are_old_on_arrival_are_named() -> None:
-    """A busy machine receives them late; a camera's clock may also be wrong."""
-
+def test_frames_with_an_old_stamp_are_named_after_their_clock() -> None:
     async def scene(cell: Cell) -> None:
         assert cell.world is not None
         await cell.grasp()
@@ -206,10 +204,12 @@ def test_frames_that_are_old_on_arrival_are_named() -> None:
         await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
         fault = cell.service.state.fault
         assert fault is not None
-        assert "left: its newest frame is 5.0" in fault.observed
+        assert fault.code is FaultCode.FRAMES_LOST
+        assert "left: its frames are stamped 5.0" in fault.observed
         await asyncio.sleep(0.5)
         lines = "\n".join(cell.service.event_log.lines)
-        assert "s old on arrival: this machine is too busy, or the camera's clock is wrong" in lines
+        assert "s before they arrive: the camera's clock is wrong" in lines
+        assert "busy" not in lines
 
     play(Cell("wrench", 1), scene)
 

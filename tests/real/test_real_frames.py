@@ -13,7 +13,7 @@ from slipguard.devices import Frame
 from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.quality.dead_lines import DeadLines
-from slipguard.perception.quality.image_quality import has_few_levels, is_coarsely_compressed
+from slipguard.perception.quality.image_quality import LIMITS, pixel_figures
 from slipguard.perception.settings import PerceptionSettings
 from tests.campaigns.real_backgrounds import no_contact_frames, stale
 from tests.campaigns.real_frames import RealFrame, real_frames
@@ -130,4 +130,10 @@ def test_no_real_frame_is_called_coarse_even_as_a_camera_compresses_it(real_data
     images = [image for path in paths if (image := cv2.imread(str(path))).shape == (320, 240, 3)]
     assert len(images) >= 90
     packed = [cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 75])[1], 1) for image in images]
-    assert not [k for k, image in enumerate(images + packed) if is_coarsely_compressed(image) or has_few_levels(image)]
+    found = [
+        (k, what)
+        for k, image in enumerate(images + packed)
+        for what, value in pixel_figures(image)
+        if LIMITS[what].is_beyond(value)
+    ]
+    assert not found

@@ -27,7 +27,7 @@ from slipguard.control.messages import (
     StepOutput,
     StopArm,
 )
-from slipguard.daemon.loop.finger import STALE_S
+from slipguard.daemon.loop.frame_causes import STALE_S
 from slipguard.devices import FINGERS
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.gel_view import GelView

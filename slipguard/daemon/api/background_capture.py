@@ -19,7 +19,15 @@ from slipguard.daemon.store.background_images import (
     collect_images,
 )
 from slipguard.errors import CommandRefused, InputError, SlipguardError
+from slipguard.perception.estimate import Estimate
 from slipguard.thread_priority import set_worker_priority
+
+
+def _contact(finger: str, estimate: Estimate) -> str | None:
+    """Return that a finger is in contact, or cannot see whether it is; None if it sees no contact."""
+    if estimate.unusable:
+        return f"{finger} finger cannot see whether it is in contact ({estimate.declined})"
+    return f"{finger} finger is in contact" if estimate.contact else None
 
 
 class BackgroundCapture:
@@ -53,10 +61,9 @@ class BackgroundCapture:
         self.check_not_running()
         async with self._lock:
             self._check_idle()
-            if not request.force and (name := await self.finger_in_contact()) is not None:
+            if not request.force and (touched := await self.finger_in_contact()) is not None:
                 raise CommandRefused(
-                    f"cannot calibrate: {name} finger is in contact; remove the object, or use --force "
-                    "if the light has changed"
+                    f"cannot calibrate: {touched}; remove the object, or use --force if the light has changed"
                 )
             taken = await self._take()
             self._check_idle()
@@ -65,11 +72,15 @@ class BackgroundCapture:
             return taken
 
     async def finger_in_contact(self) -> str | None:
-        """Return the name of a finger that reliably sees contact; None if neither does."""
+        """Return which finger is in contact, or cannot see whether it is; None if neither."""
         for name, finger in self._service.fingers.items():
             newest = finger.newest
-            if newest is not None and newest.estimate.contact and await self._contact_is_reliable(finger):
-                return name
+            if (
+                newest is not None
+                and (why := _contact(name, newest.estimate))
+                and await self._contact_is_reliable(finger)
+            ):
+                return why
         return None
 
     async def may_hold_reason(self) -> str | None:
@@ -91,8 +102,8 @@ class BackgroundCapture:
             health, estimate = finger.observe(asyncio.get_running_loop().time())
             if estimate is None:
                 return f"{name} finger has no recent estimate ({health.why or health.condition.value})"
-            if estimate.contact:
-                return f"{name} finger is in contact"
+            if (why := _contact(name, estimate)) is not None:
+                return why
         return None
 
     async def versions(self) -> dict[str, dict[str, object]]:
@@ -156,7 +167,8 @@ class BackgroundCapture:
             raise CommandRefused(
                 "cannot calibrate: the gripper is moving, holding or closed; support what it holds, then open the jaws"
             )
-        missing = [name for name, finger in service.fingers.items() if not finger.health.ready]
+        now_s = asyncio.get_running_loop().time()
+        missing = [name for name, finger in service.fingers.items() if not finger.delivers(now_s)]
         if missing:
             raise CommandRefused(f"cannot calibrate: no frames from {' and '.join(missing)}; check the sensors")
 

@@ -13,6 +13,7 @@ from slipguard.daemon.loop.async_tools import Backoff, LatestValue
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, close_contained, error_place, failure_reason
 from slipguard.daemon.loop.driver_values import checked_frame
+from slipguard.daemon.loop.frame_causes import ARRIVALS, Arrival
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import DeviceError, DeviceTimeout, FrameCorrupt, FrameFrozen, describe_error
 
@@ -114,8 +115,8 @@ class SensorCapture:
         self.counts = FrameCounts()
         self.serial: str | None = None
         """Of the sensor opened last; None before that."""
-        self.received_at_s: float | None = None
-        """Loop time at which the last good frame was received."""
+        self.arrivals: deque[Arrival] = deque(maxlen=ARRIVALS)
+        """The newest good frames since the sensor was opened."""
         self.newest_frame: Frame | None = None
         """The last good frame; None while the sensor is gone."""
         self.frames: LatestValue[tuple[Frame, float]] = LatestValue()
@@ -198,6 +199,7 @@ class SensorCapture:
         self.serial = self.sensor.serial
         self._on_open(self.serial)
         self.streaming = True
+        self.arrivals.clear()
         loop = asyncio.get_running_loop()
         failing_since_s: float | None = None
         sequence: int | None = None
@@ -216,12 +218,13 @@ class SensorCapture:
                 if loop.time() - failing_since_s > REOPEN_S:
                     raise
                 continue
-            self.received_at_s = received_at_s = loop.time()
+            received_at_s = loop.time()
             failing_since_s = None
             self._backoff.reset()
             self.counts.frames += 1
             self.counts.missed += max(0, frame.sequence - sequence - 1) if sequence is not None else 0
             sequence = frame.sequence
+            self.arrivals.append(Arrival(received_at_s, frame.captured_at_s, sequence))
             self.newest_frame = frame
             self.frame_arrived.set()
             self.frame_arrived.clear()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-from slipguard.control.messages import Condition, FingerHealth, Observation, without_figures
+from slipguard.control.messages import Condition, Observation, without_figures
 from slipguard.control.state import AT_STAKE, Phase
 
 NOT_TRIED = "not tried yet"
@@ -83,7 +83,8 @@ def find_problems(observation: Observation, devices: Mapping[str, HasHealth]) ->
         name: None if device.health.ready else device.health.reason for name, device in devices.items()
     }
     for name, finger in (("left", observation.left), ("right", observation.right)):
-        found[name] = found[name] or _stale_frame(finger)
+        if finger.condition is not Condition.FRESH and math.isfinite(finger.age_s):
+            found[name] = found[name] or finger.why
     now_s, gripper, arm = observation.now_s, observation.gripper, observation.arm
     if gripper is not None:
         reported = None if gripper.fault is None else f"reports: {gripper.fault}"
@@ -93,15 +94,6 @@ def find_problems(observation: Observation, devices: Mapping[str, HasHealth]) ->
         reported = next((f"in {kind} stop" for kind, stopped in stops if stopped), None)
         found["arm"] = found["arm"] or reported or _late_response(now_s - arm.measured_at_s)
     return found
-
-
-def _stale_frame(finger: FingerHealth) -> str | None:
-    if finger.condition is Condition.FRESH or not math.isfinite(finger.age_s):
-        return None
-    if finger.condition in (Condition.LATE, Condition.STUCK):
-        return finger.why
-    relation = "old" if finger.age_s > 0.0 else "ahead of the clock"
-    return f"its newest frame is {abs(finger.age_s):.2f} s {relation}"
 
 
 def _late_response(age_s: float) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,6 +14,7 @@ from slipguard.daemon.loop.async_tools import Backoff
 from slipguard.daemon.loop.capture import SensorCapture, StreamRestarts
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.driver_failure import DRIVER_ERRORS, failure_reason
+from slipguard.daemon.loop.frame_causes import STALE_S, FrameFigures, find_cause
 from slipguard.daemon.loop.observers import Observers
 from slipguard.daemon.loop.worker import Worker
 from slipguard.devices import Frame, TactileSensor
@@ -21,11 +23,6 @@ from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
 
-STALE_S = 0.15
-"""An estimate from an older frame is not used, nor one from a frame this far in the future.
-
-At 30 fps one lost frame gives an age of 122 ms: two frames of 33 ms, 50 ms of latency, 6 ms of processing.
-"""
 STUCK_AFTER_S = 0.05
 STUCK_WAITED_SHARE = 0.25
 """A frame that is late hangs, unless its thread waited for a processor for this share of the time since it was late."""
@@ -125,38 +122,32 @@ class Finger:
 
     def observe(self, now_s: float) -> tuple[FingerHealth, Estimate | None]:
         """Return the finger's health for the controller, and its estimate if that is fresh."""
-        age_s = now_s - self.captured_at_s if self.captured_at_s is not None else float("inf")
-        if self.health.state == "disconnected":
-            condition = Condition.LOST
-        elif -STALE_S <= age_s <= STALE_S:
-            condition = Condition.FRESH
-        elif age_s > 0.0 and self.health.ready and self._receives(now_s):
-            return self._late(now_s, age_s), None
-        else:
-            condition = Condition.STALE
+        age_s = now_s - self.captured_at_s if self.captured_at_s is not None else math.inf
+        figures = FrameFigures(
+            connected=self.health.state != "disconnected",
+            age_s=age_s,
+            refused=self.health.reason,
+            hangs_s=self._hangs_s(now_s) if age_s > STALE_S else None,
+        )
+        condition, why = find_cause(figures.with_arrivals(self.capture.arrivals, now_s))
         fresh = self.newest.estimate if self.newest is not None and condition is Condition.FRESH else None
-        return FingerHealth(condition, age_s, self.health.reason), fresh
+        if fresh is not None and fresh.unusable:
+            condition = Condition.BLIND
+        return FingerHealth(condition, age_s, why), fresh
 
-    def _late(self, now_s: float, age_s: float) -> FingerHealth:
-        """Return why no recent frame has been processed, although frames arrive."""
-        frame, received_at_s = self.capture.newest_frame, self.capture.received_at_s
-        why = f"its frames are processed {age_s:.2f} s late: this machine is too busy"
-        if frame is not None and received_at_s is not None and received_at_s - frame.captured_at_s > STALE_S:
-            old = f"its newest frame is {received_at_s - frame.captured_at_s:.2f} s old on arrival"
-            why = f"{old}: this machine is too busy, or the camera's clock is wrong"
-        late = FingerHealth(Condition.LATE, age_s, why)
+    def delivers(self, now_s: float) -> bool:
+        """Return whether recent frames were processed, even if they do not show the gel."""
+        return self.observe(now_s)[0].condition in (Condition.FRESH, Condition.BLIND)
+
+    def _hangs_s(self, now_s: float) -> float | None:
+        """Return for how long a late frame's processing has not returned; None if its thread waits for a processor."""
         waited_s = self._worker.waited_s()
         if waited_s is None or self._processing_since_s is None:
-            return late
+            return None
         self._late_since = since_s, before_s = self._late_since or (now_s, waited_s)
         if now_s - since_s < STUCK_AFTER_S or waited_s - before_s > STUCK_WAITED_SHARE * (now_s - since_s):
-            return late
-        for_s = now_s - self._processing_since_s
-        return FingerHealth(Condition.STUCK, age_s, f"the processing of a frame has not returned for {for_s:.2f} s")
-
-    def _receives(self, now_s: float) -> bool:
-        received_at_s = self.capture.received_at_s
-        return received_at_s is not None and now_s - received_at_s <= STALE_S
+            return None
+        return now_s - self._processing_since_s
 
     def skip_frames_after(self, peer: Finger, refresh_s: float) -> None:
         """Keep the last estimate while `peer` sees the object unchanged, for at most `refresh_s`."""
@@ -240,7 +231,11 @@ class Finger:
     ) -> None:
         """Make this the newest estimate, unless pipeline or reference were replaced while it was computed."""
         self.captured_at_s = estimate.captured_at_s
-        self.health.set_ready(now_s)
+        if estimate.unusable:
+            self.health.set_error(estimate.declined or "")
+            self._on_change()
+        else:
+            self.health.set_ready(now_s)
         if pipeline is not self.pipeline or self._wants_reset:
             return
         if estimate.skipped:

@@ -140,7 +140,7 @@ class GelMonitor:
         if processed.new_pipeline:
             self._windows[name] = window = _SampleWindow()
             self._conditions.pop(name, None)
-        if processed.estimate is None:
+        if processed.estimate is None or processed.estimate.unusable:
             return
         if processed.estimate.contact:
             window.touched_s = now_s

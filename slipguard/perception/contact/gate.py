@@ -48,17 +48,13 @@ def block_means(image: NDArray[np.uint8]) -> Blocks:
     """Return the means of 8 x 8 pixels: (320, 240, 3) uint8 to (1200, 3) float32, row by row.
 
     Raises:
-        FrameCorrupt: The array is no gel image, or it is all black or all white.
+        FrameCorrupt: The array is no gel image.
     """
     check_frame(image)
     small: NDArray[Any] = image
     for _ in range(3):  # halving three times is faster than dividing by eight once
         half = (small.shape[1] // 2, small.shape[0] // 2)
         small = cv2.resize(small, half, interpolation=cv2.INTER_AREA)
-    if small.max() < BLACK_LEVEL:
-        raise FrameCorrupt("frame is all black; check the LEDs and the cable of the sensor")
-    if small.min() > WHITE_LEVEL:
-        raise FrameCorrupt("frame is all white; check the exposure and the LEDs of the sensor")
     return small.reshape(-1, 3).astype(np.float32)
 
 
@@ -75,6 +71,9 @@ class ContactGate:
         background: (320, 240, 3) uint8 BGR, or None: then every frame may be contact.
         noise_bgr: Standard deviation of one pixel per channel, gray levels; None: typical values of a DIGIT.
         gate_noise_factor: Difference of a block, in standard deviations of its noise, above which it may be contact.
+
+    Raises:
+        FrameCorrupt: The background is no gel image, or it is all black or all white.
     """
 
     def __init__(
@@ -96,6 +95,10 @@ class ContactGate:
         """(3,) one over the noise of a block mean."""
         self.background: Blocks | None = None if background is None else block_means(background)
         """(1200, 3) block means of the background image."""
+        if self.background is not None and self.background.max() < BLACK_LEVEL:
+            raise FrameCorrupt("all black; check the LEDs and the cable of the sensor")
+        if self.background is not None and self.background.min() > WHITE_LEVEL:
+            raise FrameCorrupt("all white; check the exposure and the LEDs of the sensor")
         self._limit = gate_noise_factor**2
         x, y = np.meshgrid(np.linspace(-1, 1, BLOCKS_WIDE), np.linspace(-1, 1, BLOCKS_HIGH))
         drift = np.stack([np.ones(x.size), x.ravel(), y.ravel()], axis=1)

@@ -1,7 +1,7 @@
 """Torn frames: the part above a line is of one capture, the part below it of another, and no flag says so.
 
 A tear is one pixel sharp, and the optics are not: an edge of the object spreads over several pixels, however fast it
-moves. So a line is compared with its neighbors in the difference between the frame and the previous good one, where
+moves. So a line is compared with its neighbors in the difference between the frame and the last good one, where
 everything that stays in place cancels. At a tear the step from line to line equals the difference between what lies
 below and what lies above, and the steps before and after it do not. Both parts of a torn frame match their captures
 up to the line, so a frame without motion between its captures shows no tear and needs no rejection.
@@ -10,8 +10,6 @@ A DIGIT reads out columns of the portrait frame; another camera may read out row
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -46,43 +44,8 @@ Image = NDArray[np.uint8]
 Lines = NDArray[np.float32]
 
 
-@dataclass(frozen=True, slots=True)
-class Tear:
-    """A tear before a line. along: "row" or "column" of the portrait frame. line: the first one of the lower part."""
-
-    along: str
-    line: int
-
-    def __str__(self) -> str:
-        return f"{self.along} {self.line}"
-
-
-class TornFrames:
-    """Compares each frame of one sensor with the last good one."""
-
-    def __init__(self) -> None:
-        self._good: Image | None = None
-        self._good_at_s = 0.0
-
-    def note_good(self, image: Image, captured_at_s: float) -> None:
-        """Note a frame that needs no test; it is kept and must not change."""
-        self._good, self._good_at_s = image, captured_at_s
-
-    def note_unread(self, captured_at_s: float) -> None:
-        """Note a frame that is not looked at: nothing was refused until then."""
-        self._good_at_s = captured_at_s
-
-    def find(self, image: Image, captured_at_s: float) -> Tear | None:
-        """Return where a frame, (320, 240, 3) uint8, is torn; None if it is good, or the first one."""
-        tear = None if self._good is None else find_tear(image, self._good)
-        if tear is not None and 0.0 <= captured_at_s - self._good_at_s < REFUSED_MAX_S:
-            return tear
-        self.note_good(image, captured_at_s)
-        return None
-
-
-def find_tear(image: Image, previous: Image) -> Tear | None:
-    """Return where a frame is torn; None if it is not, or if its captures do not differ there.
+def find_tear(image: Image, previous: Image) -> str | None:
+    """Return before which line a frame is torn, as "column 120"; None if its captures do not differ there.
 
     A tear in the previous frame is not attributed to this one.
 
@@ -93,12 +56,12 @@ def find_tear(image: Image, previous: Image) -> Tear | None:
     change = np.asarray(cv2.subtract(image, previous, dtype=cv2.CV_32F), np.float32)
     line = _torn_line(image, previous, _grouped(change))
     if line is not None:
-        return Tear("column", line)
+        return f"column {line}"
     rows, columns = image.shape[0], image.shape[1] // GROUP_PX
     along_rows = change.reshape(rows * columns, 3 * GROUP_PX) @ _MEAN
     grouped = np.ascontiguousarray(along_rows.reshape(rows, columns, 3).transpose(1, 0, 2))
     line = _torn_line(image.transpose(1, 0, 2), previous.transpose(1, 0, 2), grouped)
-    return None if line is None else Tear("row", line)
+    return None if line is None else f"row {line}"
 
 
 def _grouped(levels: Lines) -> Lines:

@@ -37,7 +37,7 @@ class EncodedImagePerception:
         estimate = self._model.process(view, frame.captured_at_s, frame.sequence)
         if max(abs(level) for level in light) > BRIGHT_LEVELS:
             plain = replace(estimate, rotation_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)
-            return replace(plain, contact=True, orientation_deg=None, declined=str(DeclineReason.UNLIKE_BACKGROUND))
+            return replace(plain, contact=True, orientation_deg=None, declined=str(DeclineReason.IMAGE))
         if not estimate.contact:
             return replace(estimate, skipped="no contact", declined="no contact")
         if estimate.rotation_deg is None and estimate.declined is None:

@@ -19,15 +19,14 @@ LAST_S = 9.0
 PERMANENT_SHARE = 0.2
 """Share of the faults that are never repaired."""
 
-_OLD = "newest frame is"
 _CAMERA_WORDS = {
     "disconnect": "unplugged|no DIGIT",
-    "stall": f"no frame for|{_OLD}",
+    "stall": "no frame for",
     "corrupt": "damaged frame",
     "frozen": "repeats itself",
     "stamps_ahead": "ahead of the clock",
-    "stamps_behind": f"{_OLD} .* old",
-    "light": str(DeclineReason.UNLIKE_BACKGROUND),
+    "stamps_behind": "before they arrive",
+    "light": str(DeclineReason.IMAGE),
     "mirrored": "rotate the same way",
     "duplicate": "",
 }

@@ -179,7 +179,7 @@ def splice_results(captures: Captures, every: int = 1) -> Iterator[SpliceResult]
         levels = _difference_levels(captures, along)
         for line in range(1 + (count + every) // 2 % every, count, every):
             tear = find_tear(spliced(captures.first, captures.second, along, line), captures.previous)
-            at_line = tear is not None and (tear.along, tear.line) == (along, line)
+            at_line = tear == f"{along} {line}"
             yield SpliceResult(captures.kind, along, line / count, float(levels[line]), tear is not None, at_line)
 
 

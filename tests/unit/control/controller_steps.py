@@ -11,6 +11,7 @@ from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, Release
+from slipguard.devices import FINGERS
 
 COARSE = {"tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0}
 """Only thresholds that hold during any arm motion."""
@@ -35,6 +36,7 @@ def state_in(phase: Phase, **changes: object) -> GraspState:
         memory=PRIMED, referenced=held, ground_mm=0.0 if held else None, arm_commanded_s=NOW_S - 0.5,
         goal_mm={Phase.LIFTING: 100.0, Phase.LOWERING: 0.0}.get(phase), fault=FAULT if phase is Phase.FAULT else None,
         release=Release(85.0) if released else None, release_requested=released,
+        seen_by=frozenset(FINGERS) if held and phase is not Phase.CLOSING else frozenset(),
     )  # fmt: skip
     return changed(base, **changes)
 

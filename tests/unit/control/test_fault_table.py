@@ -21,6 +21,8 @@ from slipguard.control.supervisor import Supervision
 TICK_S = 0.04
 LASTS_S = 2.4
 GONE = FingerHealth(Condition.LOST, 1.0, "unplugged")
+DARK = FingerHealth(Condition.BLIND, 0.02, "image unusable: mean of 9 gray levels (minimum 25)")
+NO_SIGHT = changed(fused(None, declined="image unusable", shift_mm=None), left_contact=None, right_contact=None)
 SLIPS = SlipEpisode(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
 HELD = AT_STAKE - {Phase.CLOSING}
 GUARDED = frozenset({Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
@@ -40,6 +42,11 @@ def rotating_while_it_tightens(view: Observation, since_s: float) -> Observation
 
 EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
     FaultCode.FRAMES_LOST: (lambda view, _: changed(view, left=GONE, right=GONE, fused=None), AT_STAKE, {}),
+    FaultCode.FINGERS_BLIND: (
+        lambda view, _: changed(view, left=DARK, right=DARK, fused=changed(NO_SIGHT, captured_at_s=view.now_s)),
+        AT_STAKE,
+        {},
+    ),
     FaultCode.ESTIMATE_UNTRUSTED: (
         lambda view, _: changed(view, fused=fused(None, declined="round contact", at_s=view.now_s)),
         GUARDED,

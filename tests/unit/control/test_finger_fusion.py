@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from observations import estimate
 
 from slipguard.control.finger_fusion import SIGMA_FLOOR_DEG, fuse
+from slipguard.perception.estimate import Estimate
 
 rotations = st.floats(-60.0, 60.0)
 sigmas = st.floats(0.05, 6.0)
@@ -91,17 +92,20 @@ def test_two_fingers_without_estimate_decline_with_both_reasons() -> None:
 
 
 def test_contact() -> None:
-    def touch(left: bool | None, right: bool | None) -> tuple[bool, bool]:
-        pair = [None if one is None else estimate(None, contact=one) for one in (left, right)]
-        both = fuse(*pair)
-        assert both is not None
-        return both.both_touch, both.none_touches
+    unusable = estimate(None, contact=True, declined="image unusable: mean of 9 gray levels")
 
-    assert touch(True, True) == (True, False)
-    assert touch(True, False) == (False, False)
-    assert touch(False, False) == (False, True)
-    assert touch(None, False) == (False, True)
-    assert touch(None, True) == (False, False)
+    def touch(left: Estimate | None, right: Estimate | None) -> tuple[bool | None, bool | None, bool]:
+        both = fuse(left, right)
+        assert both is not None
+        return both.left_contact, both.right_contact, both.both_touch
+
+    yes, no = estimate(None, contact=True), estimate(None, contact=False)
+    assert touch(yes, yes) == (True, True, True)
+    assert touch(yes, no) == (True, False, False)
+    assert touch(no, no) == (False, False, False)
+    assert touch(None, no) == (None, False, False)
+    assert touch(unusable, yes) == (None, True, False)
+    assert touch(unusable, unusable) == (None, None, False)
 
 
 def test_the_same_sign_in_both_images_is_a_conflict_and_the_larger_rotation_is_used() -> None:

@@ -134,9 +134,9 @@ def test_the_same_sign_in_both_images(right_deg: float, fused_deg: float, sigma_
     )
 
 
-@pytest.mark.parametrize(("right_deg", "opposite"), [(1.5, False), (1.625, True)])
+@pytest.mark.parametrize(("right_deg", "opposite"), [(0.75, False), (0.8125, True)])
 def test_an_uncertain_rotation_contradicts_no_finger(right_deg: float, opposite: bool) -> None:
-    answer = fuse(changed(LEFT, rotation_deg=1.75), changed(RIGHT, rotation_deg=right_deg, sigma_deg=0.5))
+    answer = fuse(changed(LEFT, rotation_deg=1.75), changed(RIGHT, rotation_deg=right_deg, sigma_deg=0.25))
     assert answer is not None
     assert (answer.conflict is not None) is opposite
 
@@ -150,14 +150,14 @@ def test_an_uncertain_rotation_contradicts_no_finger(right_deg: float, opposite:
         (-3.5, 0.0, 0.125, -3.5),
         (20.0, -14.75, 0.125, 20.0),
         (20.0, -15.25, 0.125, None),
-        (0.0, -3.75, 0.5, 3.75),
-        (0.0, -3.5, 0.5, None),
+        (0.0, -3.75, 0.875, 3.75),
+        (0.0, -3.5, 0.875, None),
     ],
 )
 def test_one_finger_rotates_alone(
     left_deg: float, right_deg: float, sigma_deg: float, rotation_deg: float | None
 ) -> None:
-    """Beyond 3 degrees, a tenth of the rotation and five combined standard deviations, the larger one is used."""
+    """Beyond 3 degrees, a tenth of the rotation and three combined standard deviations, the larger one is used."""
     left = changed(LEFT, rotation_deg=left_deg, sigma_deg=sigma_deg)
     right = changed(RIGHT, rotation_deg=right_deg, sigma_deg=sigma_deg)
     answer = fuse(left, right)

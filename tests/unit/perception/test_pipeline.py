@@ -176,14 +176,23 @@ def test_lights_of_another_order_and_strength_are_learned() -> None:
             assert_within(finger.see(3.0 * k), 3.0 * k)
 
 
-@pytest.mark.parametrize("level", [0, 255])
-def test_a_corrupt_frame_is_an_error_and_changes_nothing(level: int) -> None:
+def test_a_corrupt_frame_is_an_error_and_changes_nothing() -> None:
     finger = DrawnFinger(lettered)
     finger.rest()
     assert_within(finger.see(3.0), 3.0)
     with pytest.raises(FrameCorrupt) as caught:
-        finger.pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), finger.now_s + 0.01, 99))
+        finger.pipeline.process(Frame(np.full((240, 320, 3), 90, np.uint8), finger.now_s + 0.01, 99))
     assert "\n" not in str(caught.value)
+    assert_within(finger.see(6.0), 6.0)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_a_black_or_white_frame_shows_nothing_and_the_next_one_is_measured(level: int) -> None:
+    finger = DrawnFinger(lettered)
+    finger.rest()
+    estimate = finger.pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), finger.now_s + 0.01, 99))
+    assert estimate.unusable
+    assert estimate.rotation_deg is None
     assert_within(finger.see(6.0), 6.0)
 
 
