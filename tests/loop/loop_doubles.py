@@ -32,6 +32,8 @@ SIGMA_DEG = 0.4
 NOISE_MM = 0.03
 STABLE_FRAMES = 5
 SWING_DEG_S = 25.0
+GEL_ROW = np.array([90, 60, 120], np.uint8) + np.arange(240, dtype=np.uint8)[:, None] // 4
+"""A row of a gel's image: three colors, and a glow that changes along it."""
 ALPHA, BETA = 0.5, 0.15  # rotation and rate gain of the tracker's filter
 Image = NDArray[np.uint8]
 
@@ -52,7 +54,7 @@ class NumberedImages:
         self.count += 1
         self.shown[self.count] = self.world.truth(asyncio.get_running_loop().time())
         self.shown.pop(self.count - 100, None)
-        row = np.full(SHAPE[1:], 60 * (self.count % 2) if self.flickers else 0, np.uint8)
+        row = GEL_ROW + np.uint8(60 * (self.count % 2) if self.flickers else 0)
         row[0] = tuple(self.count.to_bytes(3, "little"))
         done(np.broadcast_to(row, SHAPE))
 

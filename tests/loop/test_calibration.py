@@ -16,7 +16,7 @@ from slipguard.daemon.store.background_images import FRAMES, BackgroundImage, av
 from slipguard.errors import CommandRefused, ConfigError, InputError
 
 
-def still(seed: int = 0, level: float = 100.0) -> list[np.ndarray]:
+def still(seed: int = 0, level: tuple[float, ...] = (100.0, 80.0, 120.0)) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
     return [np.clip(rng.normal(level, 2.0, (320, 240, 3)), 0, 255).astype(np.uint8) for _ in range(FRAMES)]
 
@@ -42,6 +42,15 @@ def test_a_touch_at_any_time_is_refused(frames: range) -> None:
         images[index][150:200, 100:140] -= np.uint8(30)
     with pytest.raises(CommandRefused, match="right: something touched the gel"):
         average_background(images, "right")
+
+
+@pytest.mark.parametrize(
+    ("level", "why"),
+    [((90.0, 90.0, 90.0), "a gray image: check the stream's format"), ((9.0, 5.0, 12.0), "mean of 9 gray levels")],
+)
+def test_an_image_without_color_or_light_is_refused(level: tuple[float, ...], why: str) -> None:
+    with pytest.raises(CommandRefused, match=rf"left: image unusable: .*{why}.*; nothing was stored"):
+        average_background(still(level=level), "left")
 
 
 def uncalibrated() -> Cell:

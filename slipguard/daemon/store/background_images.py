@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
+from slipguard.perception.quality.image_quality import check_background
 
 FRAMES = 30
 """Half a second at 60 fps: averaging reduces the noise to a fifth, and a brief touch is noticed."""
@@ -75,7 +76,7 @@ def average_background(images: Sequence[NDArray[np.uint8]], finger: str) -> Back
         finger: Names the finger in errors.
 
     Raises:
-        CommandRefused: The images are not still.
+        CommandRefused: The images are not still, or do not show a gel in color and in light.
     """
     stack = np.stack(images).astype(np.float32)
     mean = stack.mean(axis=0)
@@ -93,6 +94,9 @@ def average_background(images: Sequence[NDArray[np.uint8]], finger: str) -> Back
             f"limit {CHANGE_MAX:g}); keep the jaws open, empty and at rest, and try again"
         )
     image = np.clip(np.rint(mean), 0, 255).astype(np.uint8)
+    unusable = check_background(images[0])
+    if unusable is not None:
+        raise CommandRefused(f"{finger}: {unusable}; nothing was stored")
     image.setflags(write=False)
     return BackgroundImage(image, (float(noise[0]), float(noise[1]), float(noise[2])), len(images))
 
