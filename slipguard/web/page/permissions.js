@@ -37,7 +37,7 @@ const RULES = {
     if (state.phase !== "idle") return IDLE_ONLY;
     const gripper = state.gripper;
     if (gripper && (gripper.holding || gripper.moving || gripper.closed_on_nothing)) return "open the jaws first";
-    const missing = ["left", "right"].some((name) => state.devices?.[name]?.state !== "ready");
+    const missing = ["left", "right"].some((name) => (state.devices?.[name]?.state ?? "disconnected") === "disconnected");
     return missing ? "a finger has no frames" : null;
   },
   release() {
