@@ -294,7 +294,7 @@ def _check_values(raw: Mapping[str, Any], where: str) -> None:
         key, value, depth = waiting.pop()
         problem = None
         if "\0" in key or (isinstance(value, str) and "\0" in value):
-            problem = "contains a NUL character; remove it"
+            problem = "contains a NUL character; write it without"
         elif isinstance(value, int) and not -(2**63) <= value < 2**63:
             problem = "an integer must be from -2^63 to 2^63 - 1"
         elif isinstance(value, Mapping | list) and depth >= DEPTH_MAX:

@@ -46,14 +46,14 @@ def test_tracked_from_the_first_press_it_hardly_rotates(real_data: Path) -> None
     frames = sorted((folder / "frames").glob("*.png"))
     begin = sum(path.stem <= TUNING_INDENTER_LAST for path in frames)
     rotations = measured(folder, frames, begin)
-    assert len(rotations) >= 19  # 21 before a middle that has slipped counted for a while
-    # 2° was aimed at, and reached while only the first 15 of these frames were answered. 3.5° is reached now.
-    assert np.percentile(rotations, 95) <= 3.6
+    assert len(rotations) >= 26
+    # Larger than for the 19 frames that were answered when sigma was three times as wide: the sheared ones are hard.
+    assert np.percentile(rotations, 95) <= 5.2
 
 
 def test_started_in_the_middle_of_the_shear_on_the_test_frames(real_data: Path) -> None:
     folder = real_data / "anytouch2_force2"
     frames = [path for path in sorted((folder / "frames").glob("*.png")) if path.stem > TUNING_INDENTER_LAST]
     rotations = measured(folder, frames, 0)
-    assert len(rotations) >= 12  # the others are declined as too uncertain
-    assert np.percentile(rotations, 95) <= 1.5
+    assert len(rotations) >= 17  # the texture of the others has changed too much
+    assert np.percentile(rotations, 95) <= 2.0

@@ -43,9 +43,9 @@ _ROUND_PRIOR_STD = np.array([1e-6, 6.0, 6.0, 0.1, 0.5])
 """The same for a round texture, whose rotation is held."""
 
 FLOOR_DEG = 0.05
-SPREAD, LEAD, ROLLING = 1.5, 0.4, 0.8
+SPREAD, LEAD, ROLLING = 1.3, 0.4, 0.8
 """Shares of the three terms in sigma, fitted by `python -m tests.campaigns fit-sigma`."""
-DEFORMED = 0.055
+DEFORMED = 0.035
 """A correlation this far below 1 doubles the spread's share. Fitted likewise."""
 LEAD_CORRECTION = 0.45
 """Share of the lead of the middle by which the rotation is corrected, fitted likewise."""
