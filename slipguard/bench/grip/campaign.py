@@ -19,10 +19,11 @@ QUICK_ADDED, FULL_ADDED = 24, 120
 """Scenarios in which mass is added on the grip axis."""
 QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
 """Duration of the hold after the lift of a firm grasp."""
-BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), "proportional steps", "fixed step")
+STEPS = ("naive steps", "proportional steps", "fixed step")
+BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), *STEPS)
 BOUND = "clairvoyant"
 REACTIVE = "reactive"
-REACTING = ("slipguard", "proportional steps", "fixed step")
+REACTING = ("slipguard", *STEPS)
 ANSWERABLE_DEG, ANSWERABLE_MM = 2.5, 2.5
 """If the clairvoyant bound slips further, the load arrives faster than the gripper tightens; if the reactive one does,
 faster than camera, wire and jaws act together."""

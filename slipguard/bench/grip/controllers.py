@@ -16,6 +16,7 @@ FIXED_STEP_ABOVE_DEG = 5.0
 PROPORTIONAL_N_DEG, PROPORTIONAL_N_MM = 5.0, 10.0
 PROPORTIONAL_DEG, PROPORTIONAL_MM = 2.0, 1.0
 """The proportional steps add this force for each degree and mm since the last step, once one of these is passed."""
+NAIVE_N, NAIVE_DEG = 10.0, 2.0
 SETTLED_DEG, SETTLE_S = 1.0, 0.3
 """A stopped arm continues after a rotation below this for this time."""
 VISIBLE_DEG, VISIBLE_MM = 0.1, 0.02
@@ -129,6 +130,22 @@ class ProportionalSteps(UnguardedController):
         self.answered_deg, self.answered_mm = max(deg, self.answered_deg), max(mm, self.answered_mm)
         more_n = PROPORTIONAL_N_DEG * more_deg + PROPORTIONAL_N_MM * more_mm
         return min(self.target_n + more_n, self.force_max_n)
+
+
+@dataclass(slots=True)
+class NaiveSteps(UnguardedController):
+    """Adds 10 N for each 2 degrees of rotation, up to `force_max_n`: what anyone would write first."""
+
+    force_max_n: float = 130.0
+    answered: int = 0
+
+    def more_n(self, observation: Observation) -> float | None:
+        rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
+        steps = math.floor(abs(rotation_deg or 0.0) / NAIVE_DEG) - self.answered
+        if steps <= 0 or self.target_n >= self.force_max_n:
+            return None
+        self.answered += steps
+        return min(self.target_n + NAIVE_N * steps, self.force_max_n)
 
 
 @dataclass(slots=True)

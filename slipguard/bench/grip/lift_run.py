@@ -11,6 +11,7 @@ from slipguard.bench.grip.closed_loop import ClosedLoop, FingerModel
 from slipguard.bench.grip.controllers import (
     Clairvoyant,
     FixedStep,
+    NaiveSteps,
     ProportionalSteps,
     Reactive,
     SlipguardController,
@@ -55,8 +56,8 @@ def run_lift(
     """Run a scenario; equal arguments give equal outcomes.
 
     Args:
-        controller: "slipguard", "no guard", "proportional steps", "fixed step", "clairvoyant", "reactive", or
-            "constant 0.30".
+        controller: "slipguard", "no guard", "naive steps", "proportional steps", "fixed step", "clairvoyant",
+            "reactive", or "constant 0.30".
         hold_s: Duration of taps, shaking and arm motions after the event.
         rendered: With rendered frames and the shipped pipeline instead of the error model.
     """
@@ -65,7 +66,7 @@ def run_lift(
     start_s = START_S
     if isinstance(decides, SlipguardController):
         for other in earlier_grasps(scenario, EARLIER_GRASPS):
-            start_s = _earlier(other, decides, start_s)
+            start_s = _earlier(other, decides, plant, start_s)
     rng = np.random.default_rng([scenario.seed, scenario.number, 17])
     fingers = _fingers(scenario, rng, drifts=hold_s > 0.0, rendered=rendered)
     loop_rng = np.random.default_rng([scenario.seed, scenario.number, 9])
@@ -78,11 +79,11 @@ def run_lift(
     return run.outcome(controller)
 
 
-def _earlier(scenario: GripScenario, controller: SlipguardController, start_s: float) -> float:
+def _earlier(scenario: GripScenario, controller: SlipguardController, plant: PlantName, start_s: float) -> float:
     """Grip, lift and release an object; return the time afterwards."""
     rng = np.random.default_rng([scenario.seed, scenario.number, 29])
     fingers = _fingers(scenario, rng, drifts=False, rendered=False)
-    loop = _loop(scenario, "own", controller, fingers, rng, start_s)
+    loop = _loop(scenario, plant, controller, fingers, rng, start_s)
     run = LiftCourse(scenario, loop)
     run.grip(scenario.first_n)
     run.lift()
@@ -147,6 +148,8 @@ def _controller(name: str, params: GuardParams, scenario: GripScenario) -> Slipg
         return SlipguardController(params)
     if name == "proportional steps":
         return ProportionalSteps(force_max_n=params.force_max_n)
+    if name == "naive steps":
+        return NaiveSteps(force_max_n=params.force_max_n)
     if name == "fixed step":
         return FixedStep(force_max_n=params.force_max_n)
     if name == "reactive":

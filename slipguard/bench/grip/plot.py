@@ -14,6 +14,7 @@ COLORS = {
     "slipguard": "tab:blue",
     BOUND: "tab:green",
     REACTIVE: "tab:olive",
+    "naive steps": "tab:cyan",
     "proportional steps": "tab:red",
     "fixed step": "tab:orange",
     "no guard": "tab:gray",

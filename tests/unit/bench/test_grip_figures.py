@@ -35,7 +35,7 @@ OLD_KEYS = {
 NEW_KEYS = {
     "plant", "seed_set", "force_over_needed_p95", "slip_p95_deg", "slip_worst_deg", "drops_beyond_bound",
     "firm_tightened_share", "dominated_by", "physical_bound",
-    "added_mass", "firm", "firm_tightened_while_held_share",
+    "added_mass", "firm", "firm_tightened_while_held_share", "onset_to_command_s_median",
 }  # fmt: skip
 PLAN = replace(CampaignPlan.of(quick=True), scenarios=tuple(scenarios(40, 0)))
 
@@ -123,7 +123,7 @@ def test_the_json_keeps_its_keys_and_every_limit_has_a_value() -> None:
     assert failures(found) == []
     assert all(check.as_json()["not_held_in"] == [] for check in checks(found))
     assert set(found["holds"]) >= {"count", "minutes", "tightened_while_slipping"}  # type: ignore[call-overload]
-    assert len(failures(as_json(campaign(ours=(2.0, 9.0))))) == 4
+    assert len(failures(as_json(campaign(ours=(2.5, 11.0))))) == 4
     trials = scenarios_as_json(campaign())["trials"]
     assert isinstance(trials, list)
     assert {"event", "needed_n", "slipguard", "clairvoyant", "constant_0.50"} <= set(trials[0])

@@ -55,11 +55,11 @@ def test_the_bound_uses_no_more_force_than_needed() -> None:
 
 
 def test_the_reactive_bound_acts_when_the_cameras_have_seen_the_object_move() -> None:
-    """No earlier than one camera latency after the first motion, with the needed force: less slip than slipguard."""
+    """No earlier than one camera latency after the first motion, with the needed force."""
     one = weak("support gone")
     bound, clairvoyant = run_lift(one, "reactive"), run_lift(one, "clairvoyant")
     assert bound.tightenings == clairvoyant.tightenings == 1
-    assert clairvoyant.slip_deg < bound.slip_deg <= run_lift(one, "slipguard").slip_deg
+    assert clairvoyant.slip_deg < bound.slip_deg
     slower = replace(one.pose.left, latency_s=one.pose.left.latency_s + 0.05)
     assert run_lift(replace(one, pose=replace(one.pose, left=slower)), "reactive").slip_deg > bound.slip_deg + 0.5
 
