@@ -73,6 +73,11 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
         f"{figures_now['lifts']} lifts: {figures_now['held']} held, {figures_now['dropped']} dropped, "
         f"{figures_now['refused']} refused; rotated over 20° or dropped: {figures_now['over_20_deg_or_dropped']}"
     )
+    if records:
+        console.print(
+            f"true rotation of the objects: median {figures_now['true_turn_median_deg']}°, "
+            f"largest {figures_now['true_turn_max_deg']}°"
+        )
     if figures_now["latency_p99_ms"] is not None:
         console.print(
             f"latency, frame received → command issued or not needed: "
