@@ -13,16 +13,14 @@ from slipguard.bench.pipeline_results import PipelineResults
 from slipguard.bench.pipelines import BenchPipeline
 from slipguard.bench.results import SkipResult
 from slipguard.bench.slip_onset import (
-    PARAMS,
     ROTATION_RATES_DEG_S,
     TRANSLATION_RATES_MM_S,
     SlipOnset,
+    SlipWatch,
     detection_delay,
     first_detection,
 )
 from slipguard.control.finger_fusion import fuse
-from slipguard.control.slip_detector import assess_slip
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.settings import PerceptionSettings
@@ -148,7 +146,7 @@ def measure_second_finger(default: BenchPipeline) -> SkipResult:
     runs = {True: _FingerRun(), False: _FingerRun()}
     clearer = default.open(CLEARER_FINGER.sensor())
     others = {skip: default.open(OTHER_FINGER.sensor()) for skip in runs}
-    detectors, slipping = dict.fromkeys(runs, SlipMemory()), dict.fromkeys(runs, False)
+    watches, slipping = {skip: SlipWatch() for skip in runs}, dict.fromkeys(runs, False)
     last: dict[bool, Estimate | None] = dict.fromkeys(runs)
     refresh_s = PerceptionSettings().refresh_s
     for index, (shot, other_shot) in enumerate(zip(CLEARER_FINGER.shots(), OTHER_FINGER.shots(), strict=True)):
@@ -168,11 +166,10 @@ def measure_second_finger(default: BenchPipeline) -> SkipResult:
                 continue
             if shot.compared and fused.rotation_deg is not None:
                 run.errors_deg.append(abs(fused.rotation_deg - shot.rotation_deg))
-            sight = assess_slip(detectors[skip], fused, PARAMS)
-            detectors[skip] = sight.memory
-            if sight.slipping and not slipping[skip]:
+            slips = watches[skip].slips(fused)
+            if slips and not slipping[skip]:
                 run.slips.append(index)
-            slipping[skip] = sight.slipping
+            slipping[skip] = slips
     with_skip, plain = runs[True], runs[False]
     saved_ms = 1e3 * (float(np.mean(plain.spent_s)) - float(np.mean(with_skip.spent_s)))
     delays = [one - other for one, other in zip(with_skip.slips, plain.slips, strict=False)]

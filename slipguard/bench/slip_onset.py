@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipguard.control.finger_fusion import fuse
-from slipguard.control.params import GuardParams
-from slipguard.control.slip_detector import assess_slip
-from slipguard.control.slip_memory import SlipMemory
+from slipguard.control.contact_motion import ZERO, ContactMotion
+from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.datasets.rendered_grasps import FRAME_S, GraspFrame, RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate
@@ -22,12 +21,12 @@ from slipguard.sim.sensor_unit import random_unit
 REST_S = 1.5
 """Long enough for frames to be skipped."""
 RAMP_S = 0.1
-BEYOND_DEG = 2.0
-"""The object rotates this far beyond `guard.tuning.creep_deg`, where every slip is detected."""
-BEYOND_MM = 0.7
+SEEN_DEG, SEEN_MM = 0.3, 0.2
+"""Motion beyond the noise that counts as slip."""
+WAY_DEG, WAY_MM = 8.0, 2.7
+"""The object moves this far, so that every slip is detected."""
 ROTATION_RATES_DEG_S = (1.0, 4.0, 15.0, 60.0, 300.0)
 TRANSLATION_RATES_MM_S = (1.0, 5.0)
-PARAMS = GuardParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +46,7 @@ class SlipOnset:
         background = camera.no_contact()
         x_mm, y_mm, start_deg = float(rng.uniform(-1, 1)), float(rng.uniform(0, 2)), float(rng.uniform(-180, 180))
         side, press_mm = float(rng.choice([-1.0, 1.0])), float(rng.uniform(0.6, 0.9)) * held.press_mm
-        way = PARAMS.tuning.creep_mm + BEYOND_MM if self.translates else PARAMS.tuning.creep_deg + BEYOND_DEG
+        way = WAY_MM if self.translates else WAY_DEG
         moving_s = way / self.rate + RAMP_S / 2.0
         shots = []
         for index in range(round((REST_S + moving_s) / FRAME_S)):
@@ -70,16 +69,28 @@ class SlipOnset:
 
 def first_detection(process: Callable[[Frame], Estimate], frames: Iterable[Frame]) -> int | None:
     """Return the index of the frame at which the controller detects slip with this finger only; None if never."""
-    memory = SlipMemory()
+    watch = SlipWatch()
     for index, frame in enumerate(frames):
         fused = fuse(process(frame), None)
         if fused is None:
             continue
-        sight = assess_slip(memory, fused, PARAMS)
-        memory = sight.memory
-        if sight.slipping:
+        if watch.slips(fused):
             return index
     return None
+
+
+@dataclass(slots=True)
+class SlipWatch:
+    """The motion of an object that should be at rest, and how far it has moved beyond the noise."""
+
+    motion: ContactMotion = field(default_factory=ContactMotion)
+    way: tuple[float, float, float] = ZERO
+
+    def slips(self, fused: FusedEstimate) -> bool:
+        """Return whether the object has moved visibly by this estimate."""
+        self.motion, moved = self.motion.followed(fused, rests=True, settled=True, sure=False)
+        self.way = (self.way[0] + moved[0], self.way[1] + moved[1], self.way[2] + moved[2])
+        return abs(self.way[0]) > SEEN_DEG or math.hypot(*self.way[1:]) > SEEN_MM or fused.slides
 
 
 def detection_delay(skipping: int | None, measuring: int | None, frames: int) -> int | None:

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from slipguard.control.load_state import HANGS_MM, LoadState
 from slipguard.control.messages import LiftArm, Observation, StepOutput, StopArm
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode, Text
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Phase
 from slipguard.devices import ArmState
 
@@ -23,6 +23,10 @@ START_S = 0.25
 FRESH_S = 0.1
 """An older state is no reason to move the arm; it is read every 25 ms."""
 REACHED_MM = 0.5
+LIFT_OFF_DEG_S, LEAST_MM_S = 4.0, 1.0
+"""While an object leaves the table, the arm rotates it no faster than this, and goes no slower than this."""
+SPEED_UP = 1.5
+"""A lift under way is commanded again only for a speed above this multiple of the present one."""
 ABOVE_MM = 5.0
 """An arm that is no further than this from straight above the start of the lift can go back down to it."""
 AT_LIMIT = frozenset({FaultCode.FORCE_LIMIT_REACHED, FaultCode.ROTATED_TOO_FAR})
@@ -68,17 +72,29 @@ def has_ended(state: GraspState, arm: ArmState, now_s: float) -> bool:
 
 
 def next_leg(state: GraspState, height_mm: float, params: GuardParams) -> LiftArm:
-    """Return the next leg to the goal: the first `probe_height_mm` of a lift slowly, the rest in one."""
+    """Return the next leg to the goal: slowly until the object hangs, so that no load arrives faster than the grip.
+
+    An object that rotates with the arm is raised more slowly: the far end of a short one leads it fast.
+    """
     goal_mm = state.arm.goal_mm if state.arm.goal_mm is not None else height_mm
     way_mm, tuning = goal_mm - height_mm, params.tuning
     if state.phase is Phase.LOWERING:
         return LiftArm(way_mm, state.arm.speed_mm_s or tuning.lower_speed_mm_s)
     speed_mm_s = state.arm.speed_mm_s or params.lift_speed_mm_s
-    ground_mm = state.arm.ground_mm if state.arm.ground_mm is not None else height_mm
-    probe_mm = ground_mm + tuning.probe_height_mm - height_mm
-    if probe_mm <= REACHED_MM:
+    load, ground_mm = state.held.load, state.arm.ground_mm
+    if load.hangs or not state.guarding:
         return LiftArm(way_mm, speed_mm_s)
-    return LiftArm(min(way_mm, probe_mm), min(tuning.probe_speed_mm_s, speed_mm_s))
+    risen_mm = height_mm - ground_mm if ground_mm is not None else 0.0
+    slow_mm_s = LIFT_OFF_DEG_S * max(risen_mm, 1.0) / max(abs(load.motion.position[0]), 1e-3)
+    if risen_mm < HANGS_MM:
+        slow_mm_s = min(slow_mm_s, tuning.lift_off_speed_mm_s)
+    return LiftArm(way_mm, min(max(slow_mm_s, LEAST_MM_S), speed_mm_s))
+
+
+def may_speed_up(state: GraspState, arm: ArmState, now_s: float, leg: LiftArm) -> bool:
+    """Return whether a lift under way is much slower than the next leg may be."""
+    lifts = state.phase is Phase.LIFTING and arm.moving and now_s - state.arm.commanded_s >= START_S
+    return lifts and is_current(state, arm, now_s) and leg.speed_mm_s > SPEED_UP * arm.speed_mm_s
 
 
 def put_down(latched: Result, observation: Observation, params: GuardParams) -> Result:
@@ -112,13 +128,13 @@ def continue_down(state: GraspState, observation: Observation, output: StepOutpu
         return state, output
     way_mm = goal_mm - arm.height_mm
     if way_mm > -REACHED_MM:
-        held = replace(done.held, memory=SlipMemory(), slip=None)  # it lies as it lies: that is the new rest
+        held = replace(done.held, load=LoadState(), slip=None)  # it lies as it lies: that is the new rest
         return replace(done, held=held), output.with_messages(Text.PUT_DOWN.message())
     return _commanded(state, observation), replace(output, arm=_leg_down(way_mm, params))
 
 
 def _leg_down(way_mm: float, params: GuardParams) -> LiftArm:
-    return LiftArm(way_mm, min(params.tuning.probe_speed_mm_s, params.tuning.lower_speed_mm_s))
+    return LiftArm(way_mm, params.tuning.lower_speed_mm_s)
 
 
 def _commanded(state: GraspState, observation: Observation) -> GraspState:

@@ -4,7 +4,7 @@
                 -> release          granted at once, in every phase
                 -> stop             granted in every phase, on top of all that follows (stop.py)
                 -> fault            latched if an object is at stake
-                -> act              what the present phase does (phases.py, slip_response.py)
+                -> act              what the present phase does (phases.py, force_law.py)
                 -> keep the force   repeat a force the gripper did not take
                 -> halt the jaws    if a person may be near
                 -> notes            what a finger cannot estimate
@@ -117,7 +117,7 @@ def _grip_unseen(state: GraspState, output: StepOutput, observation: Observation
 
     It may have slipped beyond what the fingers can follow.
     """
-    fault, fused, arm, start_mm = state.fault, observation.fused, observation.arm, state.held.memory.arm.start_mm
+    fault, fused, arm, start_mm = state.fault, observation.fused, observation.arm, state.held.load.lowest_mm
     carried = arm is not None and start_mm is not None and arm.height_mm - start_mm > CARRIED_MM
     if fault is None or fault.code is not FaultCode.ESTIMATE_UNTRUSTED or not carried or state.person.forbids_force:
         return state, output

@@ -6,13 +6,13 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from slipguard.control import arm_motion, force_limits, needed_force
+from slipguard.control import arm_motion, force_limits
 from slipguard.control.arm_motion import REACHED_MM, Result
+from slipguard.control.force_law import Guarding, guard
 from slipguard.control.messages import HoldForce, Observation, StepOutput, StopArm
 from slipguard.control.params import GuardParams
 from slipguard.control.release import continue_release
 from slipguard.control.reports import Fault, FaultCode, Message, Text
-from slipguard.control.slip_response import SlipResponse, respond_to_slip
 from slipguard.control.state import Adoption, GraspState, Phase, force_text, gripper_at_rest
 from slipguard.devices import GripperState
 
@@ -144,7 +144,7 @@ def _grip_for_contact(
     """
     fused, gripper, present_n = observation.fused, observation.gripper, state.grip.target_n
     radius_mm = fused.contact_radius_mm if fused is not None else None
-    pad = needed_force.seen_pad(radius_mm, present_n)
+    pad = force_limits.seen_pad(radius_mm, present_n)
     state = replace(state, held=replace(state.held, pad=pad))
     needed_n = params.modelled_n(pad)
     force_range = force_limits.present_range(params, observation)
@@ -155,7 +155,7 @@ def _grip_for_contact(
     firm = gripper is not None and gripper_at_rest(state, gripper)
     if not (own and firm) or target_n <= present_n or state.person.forbids_force:
         return state, None
-    radius_mm = needed_force.UNSEEN_MM if radius_mm is None else radius_mm
+    radius_mm = force_limits.UNSEEN_MM if radius_mm is None else radius_mm
     message = Text.GRIPPING_FOR_CONTACT.message(radius_mm=radius_mm, needed_n=needed_n, force_n=target_n)
     state = state.entered(Phase.REFERENCE, observation.now_s).with_target(target_n, observation.now_s)
     return state, StepOutput(HoldForce(target_n), new_reference=True, messages=(message,))
@@ -172,7 +172,7 @@ def _saying(message: Message) -> StepOutput:
 
 def _holding(state: GraspState, observation: Observation, params: GuardParams) -> Result:
     """Respond to slip. The arm is another program's or at rest; it is stopped while the object slips."""
-    response = respond_to_slip(state, observation, params)
+    response = guard(state, observation, params)
     state, output = response.state, _output_of(response)
     if response.fault is not None:
         return arm_motion.put_down(latch(state, observation, response.fault, output), observation, params)
@@ -186,7 +186,7 @@ def _holding(state: GraspState, observation: Observation, params: GuardParams) -
     return state, output
 
 
-def _output_of(response: SlipResponse) -> StepOutput:
+def _output_of(response: Guarding) -> StepOutput:
     hold = None if response.hold_n is None else HoldForce(response.hold_n)
     return StepOutput(hold, is_warning=response.stop_arm).with_messages(response.message)
 
@@ -197,12 +197,15 @@ def _moving(state: GraspState, observation: Observation, params: GuardParams) ->
     arm, motion, held = observation.arm, state.arm, state.held
     if state.phase is Phase.FAULT or arm is None or motion.goal_mm is None or held.slip is not None:
         return state, output
-    if held.lost_since_s is not None or not arm_motion.has_ended(state, arm, observation.now_s):
+    leg = arm_motion.next_leg(state, arm.height_mm, params)
+    due = arm_motion.has_ended(state, arm, observation.now_s)
+    due = due or arm_motion.may_speed_up(state, arm, observation.now_s, leg)
+    if held.lost_since_s is not None or not due:
         return state, output
     if abs(motion.goal_mm - arm.height_mm) <= REACHED_MM:
         message = Text.ARRIVED.message(height_mm=arm.height_mm)
         return state.entered(Phase.HOLDING, observation.now_s), output.with_messages(message)
-    output = replace(output, arm=arm_motion.next_leg(state, arm.height_mm, params))
+    output = replace(output, arm=leg)
     state = replace(state, arm=replace(motion, paused=False, commanded_s=observation.now_s))
     return state, output.with_messages(Text.ARM_CONTINUES.message() if motion.paused else None)
 
@@ -216,7 +219,7 @@ def _released(state: GraspState, observation: Observation, params: GuardParams) 
 def _fault(state: GraspState, observation: Observation, params: GuardParams) -> Result:
     """The arm stands and the grip is kept; slip is still met with force where that is allowed and possible."""
     state, message = _adopt_in_fault(state, observation, params)
-    response = SlipResponse(state) if state.hands_off else respond_to_slip(state, observation, params)
+    response = Guarding(state) if state.hands_off else guard(state, observation, params)
     output = replace(_output_of(response), messages=()).with_messages(message, response.message)
     state, output = _report_other_faults(response.state, observation, output, response.fault)
     gripper = observation.gripper

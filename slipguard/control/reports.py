@@ -35,9 +35,8 @@ class Text(Enum):
     NO_ESTIMATE_GRIP = "no rotation estimate ({why}): gripping with {force_n:.0f} N"
     GUARDING_FOUND = "an object is held with {force}: guarding"
     # slip
-    LOAD_GROWS = "the load grows: {what}: {why}: tightening from {from_n:.0f} N to {to_n:.0f} N"
-    TIGHTENING = "slip: {what}: {why}: tightening from {from_n:.0f} N to {to_n:.0f} N"
-    AT_FORCE_LIMIT = "slip: {what}: {force_n:.0f} N is the force limit"
+    TIGHTENING = "{what}: tightening from {from_n:.0f} N to {to_n:.0f} N"
+    AT_FORCE_LIMIT = "{what}: {force_n:.0f} N is the force limit"
     SETTLED = "settled at {force_n:.0f} N"
     # after a restart
     WAITING_FOR_FINGER = "an object is already held with {force}: waiting for a finger"

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 from slipguard.control import arm_motion, force_limits
 from slipguard.control.arm_motion import Result
+from slipguard.control.load_state import LoadState
 from slipguard.control.messages import ActivateGripper, HoldForce, MoveJaws, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import FaultCode, Message, Text
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, HandsOff, Phase, force_text, gripper_at_rest
 from slipguard.devices import ACTIVATION_HINT, ArmState, GripperState
 from slipguard.mounting import TILT_MAX_DEG, mounting_name, tilt_deg
@@ -187,7 +187,7 @@ def _guard_in_fault(state: GraspState, output: StepOutput, gripper: GripperState
         return _refuse(state, output, Text.INTERRUPTED_IN_FAULT.message())
     target_n = max(state.grip.target_n, gripper.force_n)
     grip = replace(state.grip, target_n=target_n, commanded_s=-math.inf, closed=True)
-    held = replace(state.held, memory=SlipMemory())
+    held = replace(state.held, load=LoadState())
     message = Text.GUARDING_HELD.message(force=force_text(gripper, gripper.force_n))
     state = replace(state, grip=grip, held=held).with_jaws_requested()
     return state, replace(output, new_reference=True).with_messages(message)
@@ -196,7 +196,7 @@ def _guard_in_fault(state: GraspState, output: StepOutput, gripper: GripperState
 def _guard_off(state: GraspState, output: StepOutput, observation: Observation, params: GuardParams) -> Result:
     if (why := _latched(state)) is not None:
         return _refuse(state, output, why)
-    held = replace(state.held, memory=SlipMemory(), slip=None)
+    held = replace(state.held, load=LoadState(), slip=None)
     return replace(state, guarding=False, held=held), output.with_messages(Text.NOT_GUARDING.message())
 
 

@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from slipguard.control.elastic_share import GrowingLoad
-from slipguard.control.needed_force import PAD, STIFFNESS_PRIOR, LogNormal
+from slipguard.control.load_state import PAD, STIFFNESS_PRIOR, LoadState, LogNormal
 from slipguard.control.reports import Fault, FaultCode
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.devices import GripperState
 from slipguard.limit_surface import Pad
 
@@ -95,21 +93,11 @@ class SlipEpisode:
     """One episode of slip, from the first tightening until object and gripper have settled.
 
     Args:
-        began_s, tightened_s: when it began, and when it was last tightened.
-        rotation_deg, rate_deg_s, slip_mm: at the last tightening, or where progress counts from since then.
-        rotates: rotational slip was seen.
-        raised: the force was raised.
-        moved_s: when the gripper last moved.
+        began_s, tightened_s: when it began, and when the grip was last tightened.
     """
 
     began_s: float
     tightened_s: float
-    rotation_deg: float
-    rate_deg_s: float
-    slip_mm: float
-    rotates: bool = False
-    raised: bool = False
-    moved_s: float = -math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,29 +106,18 @@ class HeldObject:
 
     Args:
         referenced: its rotation was estimated when it was gripped; no_estimate: else the reason.
-        memory: of the slip detector. slip: the present episode.
+        load: over what the grip holds. slip: the present episode.
         seen_by: fingers that have seen contact in this grip. lost_since_s: since when it seems to be lost.
-        at_limit_deg: rotation when the gripper first held with the force limit; None: it does not.
-        first_n: force at its first slip; None: not yet. friction: estimated then.
-        gel_learned: this grasp has shown the gel's stiffness.
         pad: with the contact that was seen when it was gripped.
-        growing: a load that grows at rest; None: none does. raised_from_n: force before the grip was last raised for
-            such a load; None: not since the last slip.
     """
 
     referenced: bool = False
     no_estimate: str | None = None
-    memory: SlipMemory = field(default_factory=SlipMemory)
+    load: LoadState = field(default_factory=LoadState)
     slip: SlipEpisode | None = None
     seen_by: frozenset[str] = frozenset()
     lost_since_s: float | None = None
-    at_limit_deg: float | None = None
-    first_n: float | None = None
-    friction: LogNormal | None = None
-    gel_learned: bool = False
     pad: Pad = PAD
-    growing: GrowingLoad | None = None
-    raised_from_n: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

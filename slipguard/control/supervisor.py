@@ -232,8 +232,7 @@ def _follow_trust(memory: Supervision, state: GraspState, observation: Observati
     fused, now_s = observation.fused, observation.now_s
     if fused is None or not state.held.referenced or state.phase is Phase.REFERENCE or _no_frames(observation, params):
         return replace(memory, untrusted=None, untrusted_since_s=None)
-    tightened = state.held.first_n is not None and state.grip.target_n > state.held.first_n
-    conflict = fused.conflict or (None if tightened else fused.shift_conflict)
+    conflict = fused.conflict or (None if state.held.load.tightened else fused.shift_conflict)
     why = conflict if conflict is not None or fused.rotation_deg is not None else fused.declined
     contradicted_s = memory.contradicted_s if conflict is None else now_s
     if why is None and len(fused.fingers) == 1 and now_s - contradicted_s < LEFT_OUT_S:

@@ -210,7 +210,7 @@ class _Cell:
         )
 
     def _limit_s(self, height_mm: float, speed_mm_s: float) -> float:
-        return PHASE_S + SLACK * height_mm / min(speed_mm_s, self.service.config.guard.tuning.probe_speed_mm_s)
+        return PHASE_S + SLACK * height_mm / min(speed_mm_s, self.service.config.guard.tuning.lift_off_speed_mm_s)
 
 
 def _lifted_mm(service: Service) -> float:

@@ -40,7 +40,6 @@ lift_height_mm = 40
 release_width_mm = 40
 lift_speed_mm_s = 100
 [guard.tuning]
-probe_height_mm = 5
 lower_speed_mm_s = 100
 frames_timeout_s = 5
 estimate_timeout_s = 10

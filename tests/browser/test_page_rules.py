@@ -46,7 +46,7 @@ def arms() -> list[ArmState | None]:
 
 def cases() -> list[tuple[GraspState, Observation, GuardParams]]:
     """Return every phase in combination with modes, gripper and arm states."""
-    fault, slip = Fault(FaultCode.ARM_SILENT, "seen", "do"), SlipEpisode(9.0, 9.5, 3.0, 5.0, 0.0)
+    fault, slip = Fault(FaultCode.ARM_SILENT, "seen", "do"), SlipEpisode(9.0, 9.5)
     made = []
     for phase, mode, guarding, slips, gripper, arm in product(
         Phase, ("lift", "guard"), (True, False), (None, slip), grippers(), arms()

@@ -64,7 +64,7 @@ def test_a_key_that_is_read_only_at_the_start_needs_a_restart(sections: dict[str
 
 @pytest.mark.parametrize("phase", Phase)
 def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
-    new = config(guard={"tuning": {"tighten_in_motion_deg": 3.0}})
+    new = config(guard={"tuning": {"slip_rate_deg_s": 3.0}})
     (change,) = find_changes(config(), new)
     rests = phase in (Phase.IDLE, Phase.HOLDING, Phase.FAULT)
     assert refusal_reason(change, new, CurrentGrip(phase, False, 40.0)) == (
@@ -78,11 +78,11 @@ def test_thresholds_take_effect_while_an_object_is_held() -> None:
         await cell.ready()
         await cell.grasp()
         assert await reloader(
-            cell, lambda: config(guard={"force_max_n": 115.0, "tuning": {"tighten_in_motion_deg": 2.5}})
+            cell, lambda: config(guard={"force_max_n": 115.0, "tuning": {"slip_rate_deg_s": 2.5}})
         ).reload()
         assert cell.service.config.guard.force_max_n == 115.0
         assert cell.service.event_log.lines[-1] == (
-            "configuration reloaded: guard.force_max_n: 130.0 -> 115.0, guard.tuning.tighten_in_motion_deg: 2.0 -> 2.5"
+            "configuration reloaded: guard.force_max_n: 130.0 -> 115.0, guard.tuning.slip_rate_deg_s: 8.0 -> 2.5"
         )
         await cell.lift()
         assert cell.phase is Phase.HOLDING
@@ -102,7 +102,7 @@ def test_a_force_limit_below_the_present_grip_is_refused_with_the_whole_file() -
             "force_max_n": 35.0,
             "no_estimate_force_n": 30.0,
             "first_force_n": 20.0,
-            "tuning": {"tighten_in_motion_deg": 3.0},
+            "tuning": {"slip_rate_deg_s": 3.0},
         }
         before = cell.service.config
         assert not await reloader(cell, lambda: config(guard=low, recording={"ring_s": 60})).reload()
@@ -125,11 +125,8 @@ def test_during_a_lift_the_old_one_stays() -> None:
         await cell.grasp()
         lifting = asyncio.create_task(cell.lift())
         await cell.until(lambda: cell.phase is Phase.LIFTING)
-        assert not await reloader(cell, lambda: config(guard={"tuning": {"tighten_in_motion_deg": 3.0}})).reload()
-        assert (
-            "guard.tuning.tighten_in_motion_deg: 2.0 -> 3.0 not possible while lifting"
-            in cell.service.event_log.lines[-1]
-        )
+        assert not await reloader(cell, lambda: config(guard={"tuning": {"slip_rate_deg_s": 3.0}})).reload()
+        assert "guard.tuning.slip_rate_deg_s: 8.0 -> 3.0 not possible while lifting" in cell.service.event_log.lines[-1]
         assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
         await lifting
 

@@ -72,7 +72,7 @@ def test_no_stream_restarts_while_the_other_finger_has_no_frames_or_the_object_s
         counts = cell.service.fingers["left"].capture.counts
         assert (counts.torn > TORN_MAX, counts.restarts) == (True, 0)
         assert cell.phase is Phase.HOLDING, "the left finger guards"
-        memory, slip = cell.service._control_state, SlipEpisode(cell.now_s, cell.now_s, 0.0, 0.0, 0.0)
+        memory, slip = cell.service._control_state, SlipEpisode(cell.now_s, cell.now_s)
         cell.world.faults.repair("right")
         await cell.until(lambda: cell.service._may_restart("left"))
         cell.service._control_state = replace(memory, grasp=replace(memory.grasp, held=HeldObject(slip=slip)))

@@ -237,7 +237,9 @@ def test_a_clock_that_is_set_by_hours_changes_nothing(ahead_s: float, tmp_path: 
         state = daemon.state()
         assert (state["fault"], state["waiting_for"]) == (None, [])
         warnings = [event["text"] for event in state["events"] if event["level"] == "warning"]
-        assert not [text for text in warnings if not text.startswith("slip: ")], "only slip is reported"
+        assert not [text for text in warnings if not text.startswith("the load is ")], (
+            "only a load that needs more force is reported"
+        )
         assert daemon.stop() == 0
 
 

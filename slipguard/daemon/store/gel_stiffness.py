@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 import structlog
 
-from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
+from slipguard.control.load_state import STIFFNESS_PRIOR, LogNormal
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.store.disk_writer import DiskWriter
 from slipguard.daemon.store.state_dir import StateDir

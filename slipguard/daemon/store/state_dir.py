@@ -24,7 +24,7 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 
 from slipguard.atomic_file import write_atomically
 from slipguard.config_errors import describe_validation_error
-from slipguard.control.needed_force import STIFFNESS_PRIOR, LogNormal
+from slipguard.control.load_state import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.dated_file import DatedFile, save_time

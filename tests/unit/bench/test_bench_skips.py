@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from slipguard.bench import holding, skip_values
 from slipguard.bench.holding import HoldingScene, measure_holding
 from slipguard.bench.pipelines import NO_SKIP, BenchPipeline, with_small_network
 from slipguard.bench.slip_onset import SlipOnset
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.devices import Frame
 from slipguard.perception.skipping import ALL_SKIPS, Skips
 
@@ -23,14 +21,6 @@ def default() -> BenchPipeline:
         for one in with_small_network(None, all_without_skipping=False)
         if one.estimator == "registration" and one.skips != NO_SKIP
     )
-
-
-@dataclass
-class NoSlip:
-    """An assessment that never detects slip."""
-
-    memory: SlipMemory
-    slipping: bool = False
 
 
 def test_the_detection_delay_is_measured_for_both_skips(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +52,7 @@ def test_skipping_the_second_finger_misses_no_slip(monkeypatch: pytest.MonkeyPat
     worth = skip_values.measure_second_finger(default())
     assert worth.frames_later is not None
     assert worth.frames_later <= 1
-    monkeypatch.setattr(skip_values, "assess_slip", lambda memory, fused, params: NoSlip(memory))
+    monkeypatch.setattr(skip_values.SlipWatch, "slips", lambda self, fused: False)
     assert skip_values.measure_second_finger(default()).frames_later is None
     assert not worth.how.startswith("0 of")
     assert abs(worth.error_added_deg or 0.0) < 0.3

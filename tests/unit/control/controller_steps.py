@@ -3,28 +3,22 @@
 from __future__ import annotations
 
 from observations import arm, ask, fused, gripper, guard_params, observation
-from records import changed, grasp_state, released_mm, slip_memory
+from records import changed, grasp_state, load_state, released_mm
 
 from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.load_state import STIFFNESS_PRIOR
 from slipguard.control.messages import LiftArm, Observation, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode
-from slipguard.control.slip_memory import ArmCase
 from slipguard.control.state import GraspState, Phase, Release
 from slipguard.devices import FINGERS
 
-COARSE = {"tighten_at_rest_deg": 10.0, "tighten_at_lift_off_deg": 10.0}
-"""Only thresholds that hold during any arm motion."""
-PARAMS = guard_params(**COARSE)
-GUARD_MODE = guard_params(mode="guard", **COARSE)
+PARAMS = guard_params()
+GUARD_MODE = guard_params(mode="guard")
 NOW_S = 10.0
 FAULT = Fault(FaultCode.ARM_SILENT, "no state for 0.5 s", "check the network")
-PRIMED = slip_memory(
-    episode_deg=0.0, episode_mm=0.0, measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, frames=1,
-    smooth_mm=0.0, settled_deg=0.0, settled_mm=0.0, settled_since_s=NOW_S - 2.0,
-    start_mm=0.0, resting_deg=0.0, followed_s=NOW_S - 0.02, case=ArmCase.REST,
-)  # fmt: skip
-"""One frame of slip has been seen already."""
+GUARDED = load_state(measured_s=NOW_S - 0.02, captured_s=NOW_S - 0.02, lowest_mm=0.0).started(STIFFNESS_PRIOR, 40.0)
+"""The load of an object at rest since the grip."""
 
 
 def state_in(phase: Phase, **changes: object) -> GraspState:
@@ -33,7 +27,7 @@ def state_in(phase: Phase, **changes: object) -> GraspState:
     released = phase is Phase.RELEASED
     base = grasp_state(
         phase, since_s=NOW_S - 0.5, adopted=True, target_n=40.0 if held else 0.0, commanded_s=NOW_S - 0.5,
-        memory=PRIMED, referenced=held, ground_mm=0.0 if held else None, arm_commanded_s=NOW_S - 0.5,
+        load=GUARDED, referenced=held, ground_mm=0.0 if held else None, arm_commanded_s=NOW_S - 0.5,
         goal_mm={Phase.LIFTING: 100.0, Phase.LOWERING: 0.0}.get(phase), fault=FAULT if phase is Phase.FAULT else None,
         release=Release(85.0) if released else None, release_requested=released,
         seen_by=frozenset(FINGERS) if held and phase is not Phase.CLOSING else frozenset(),
@@ -107,6 +101,7 @@ class Play:
         return self
 
     def slips(self, rotation_deg: float = 4.0, rate_deg_s: float = 30.0, frames: int = 2) -> StepOutput:
-        """Measured frames of slip; the last one's command."""
+        """Measured frames of slip; the first one's command that tightens, or the last one's."""
         self.view = changed(self.view, rotation_deg=rotation_deg, rate_deg_s=rate_deg_s)
-        return [self.step() for _ in range(frames)][-1]
+        commands = [self.step() for _ in range(frames)]
+        return next((command for command in commands if command.hold_force_n is not None), commands[-1])

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar
 
+from slipguard.control.load_state import LoadState
 from slipguard.control.messages import HaltJaws, MoveJaws, ReleaseJaws, StepOutput
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Phase
 
 T = TypeVar("T")
@@ -45,9 +45,9 @@ def grasp_state(phase: Phase = Phase.IDLE, **values: Any) -> GraspState:
     return changed(GraspState(phase), **values)
 
 
-def slip_memory(**values: Any) -> SlipMemory:
-    """Return a detector's memory with these fields; everything else is as at the start."""
-    return changed(SlipMemory(), **values)
+def load_state(**values: Any) -> LoadState:
+    """Return the load of a held object with these fields; everything else is as at the start."""
+    return changed(LoadState(), **values)
 
 
 def released_mm(output: StepOutput) -> float | None:

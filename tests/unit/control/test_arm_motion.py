@@ -22,7 +22,7 @@ from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Text
 from slipguard.control.state import GraspState, Phase
 
-LOWER = guard_params(on_force_limit="lower", probe_speed_mm_s=12.0, lower_speed_mm_s=30.0)
+LOWER = guard_params(on_force_limit="lower", lower_speed_mm_s=12.0)
 SPENT = Fault(FaultCode.FORCE_LIMIT_REACHED, "slips on", "support it")
 FAULTED = grasp_state(Phase.FAULT, ground_mm=10.0, fault=SPENT)
 DOWN = changed(FAULTED, putting_down=True, goal_mm=10.0)
@@ -82,7 +82,7 @@ def test_what_is_put_down(code: FaultCode) -> None:
 
 
 def test_it_goes_no_faster_than_a_lowering() -> None:
-    slow = guard_params(on_force_limit="lower", probe_speed_mm_s=40.0, lower_speed_mm_s=30.0)
+    slow = guard_params(on_force_limit="lower", lower_speed_mm_s=30.0)
     _, command = put_down((FAULTED, SAID), observation(5.0, arm=arm(60.0, at_s=5.0)), slow)
     assert command.arm == LiftArm(-50.0, 30.0)
 

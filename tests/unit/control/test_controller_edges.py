@@ -9,8 +9,8 @@ from records import changed, grasp_state, released_mm
 
 from slipguard.control.control_step import step
 from slipguard.control.finger_fusion import FusedEstimate, fuse
+from slipguard.control.load_state import LoadState
 from slipguard.control.messages import RequestKind, StopArm
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Phase, RememberedGrip, SlipEpisode
 from slipguard.devices import GripperState
 
@@ -180,7 +180,7 @@ def test_no_force_is_added_to_a_found_object_while_a_person_may_be_near() -> Non
 
 
 def test_guard_off_ends_an_episode_of_slip() -> None:
-    slipping = state_in(Phase.HOLDING, slip=SlipEpisode(NOW_S - 1.0, NOW_S - 1.0, 4.0, 20.0, 0.0))
+    slipping = state_in(Phase.HOLDING, slip=SlipEpisode(NOW_S - 1.0, NOW_S - 1.0))
     state, command = step(slipping, seen_in(Phase.HOLDING, request=ask(RequestKind.GUARD_OFF)), PARAMS)
-    assert (state.held.slip, state.guarding, state.held.memory) == (None, False, SlipMemory())
+    assert (state.held.slip, state.guarding, state.held.load) == (None, False, LoadState())
     assert (command.text or "").endswith("; not guarding: slip has no effect on grip and arm")

@@ -11,19 +11,19 @@ from records import changed, moved_mm, released_mm
 
 from slipguard.control.arm_motion import SAME_SLIP
 from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.force_law import UNSETTLED_S
 from slipguard.control.messages import Condition, FingerHealth, Observation, RequestKind, StepOutput, StopArm
 from slipguard.control.release import OPEN_ANYWAY_S
 from slipguard.control.reports import Fault, FaultCode
-from slipguard.control.slip_response import UNSETTLED_S
 from slipguard.control.state import AT_STAKE, GraspState, Phase, SlipEpisode
 from slipguard.control.supervisor import Supervision
 
 TICK_S = 0.04
-LASTS_S = 2.4
+LASTS_S = 3.2
 GONE = FingerHealth(Condition.LOST, 1.0, "unplugged")
 DARK = FingerHealth(Condition.BLIND, 0.02, "image unusable: mean of 9 gray levels (minimum 25)")
 NO_SIGHT = changed(fused(None, declined="image unusable", shift_mm=None), left_contact=None, right_contact=None)
-SLIPS = SlipEpisode(NOW_S - 2.0, NOW_S - 2.0, 20.0, 40.0, 0.0)
+SLIPS = SlipEpisode(NOW_S - 2.0, NOW_S - 2.0)
 HELD = AT_STAKE - {Phase.CLOSING}
 GUARDED = frozenset({Phase.LIFTING, Phase.HOLDING, Phase.LOWERING})
 SEEN = GUARDED | {Phase.REFERENCE}
@@ -32,12 +32,12 @@ View = Callable[[Observation, float], Observation]
 """What the event makes of what is seen in that phase; the time since it began."""
 
 
-def rotating(view: Observation, since_s: float) -> Observation:
-    return changed(view, fused=fused(22.0 + 10.0 * since_s, 10.0, at_s=view.now_s))
+def rotating(view: Observation, since_s: float, rate_deg_s: float = 7.5) -> Observation:
+    return changed(view, fused=fused(22.0 + rate_deg_s * since_s, rate_deg_s, at_s=view.now_s))
 
 
 def rotating_while_it_tightens(view: Observation, since_s: float) -> Observation:
-    return rotating(changed(view, gripper=view.gripper and changed(view.gripper, moving=True)), since_s)
+    return rotating(changed(view, gripper=view.gripper and changed(view.gripper, moving=True)), since_s, 10.0)
 
 
 EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
@@ -75,7 +75,7 @@ EVENTS: dict[FaultCode, tuple[View, frozenset[Phase], dict[str, object]]] = {
         {},
     ),
     FaultCode.TIGHTENING_INEFFECTIVE: (rotating_while_it_tightens, SEEN, {"slip": SLIPS, "target_n": 60.0}),
-    FaultCode.FORCE_LIMIT_REACHED: (rotating, SEEN, {"slip": changed(SLIPS, rotation_deg=2.0), "target_n": 129.57}),
+    FaultCode.FORCE_LIMIT_REACHED: (rotating, SEEN, {"slip": SLIPS, "target_n": 129.57}),
     FaultCode.ROTATED_TOO_FAR: (
         lambda view, since_s: changed(view, fused=fused(50.0 + 60.0 * since_s, 60.0, at_s=view.now_s)),
         SEEN,

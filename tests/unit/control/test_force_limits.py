@@ -100,7 +100,8 @@ def test_the_force_without_an_estimate_fits_the_other_forces(values: dict[str, f
     [
         ({"first_force_n": 120.0, "no_estimate_force_n": 100.0}, "first_force_n"),
         ({"no_estimate_force_n": 140.0}, "force_max_n"),
-        ({"tighten_in_motion_deg": 6.0}, "sigma_threshold_max_deg"),
+        ({"margin": 1.0}, "margin"),
+        ({"margin": "soft"}, "margin"),
         ({"force_max_n": 300.0}, "force_max_n"),
         ({"forse_max_n": 100.0}, "forse_max_n"),
         ({"tighten_delay_s": float("nan")}, "tighten_delay_s"),

@@ -44,7 +44,6 @@ EVENTS: dict[str, dict[str, object]] = {
     "activate": {"request": ask(RequestKind.ACTIVATE)},
     "rotation": {"fused": SLIP},
     "slip down": {"fused": SLIDE},
-    "rotates back": {"fused": BACK},
     "fault": {"fault": FAULT},
     "no devices": {"gripper": None, "arm": None, "fused": None},
     "on nothing": {"gripper": gripper(40.0, holding=False, nothing=True, width_mm=0.0, at_s=NOW_S)},
@@ -67,7 +66,6 @@ clear          | refused       | refused       | refused       | refused
 activate       | refused       | refused       | refused       | refused
 rotation       | -             | -             | holding       | hold stop
 slip down      | -             | -             | holding       | hold stop
-rotates back   | -             | -             | holding       | -
 fault          | -             | fault stop    | fault stop    | fault stop
 no devices     | -             | -             | -             | -
 on nothing     | -             | -             | -             | -
@@ -89,7 +87,6 @@ clear          | refused       | refused       | refused  | reference reference
 activate       | refused       | refused       | refused  | refused
 rotation       | hold stop     | hold stop     | -        | hold
 slip down      | hold stop     | hold stop     | -        | hold
-rotates back   | -             | -             | -        | -
 fault          | fault stop    | fault stop    | -        | -
 no devices     | -             | -             | -        | stop
 on nothing     | -             | -             | open     | -

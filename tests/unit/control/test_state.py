@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from controller_steps import NOW_S, PARAMS, PRIMED, seen_in, state_in
+from controller_steps import GUARDED, NOW_S, PARAMS, seen_in, state_in
 from observations import arm, ask, gripper, observation
 from records import grasp_state
 
@@ -35,7 +35,7 @@ def test_empty_jaws_after_a_restart_end_what_was_remembered() -> None:
 
 def test_guarding_again_in_a_fault_starts_with_the_grip_that_is_there() -> None:
     before = state_in(Phase.FAULT, closing_interrupted=True, closed=False, target_n=40.0)
-    assert before.held.memory == PRIMED
+    assert before.held.load == GUARDED
     jaws = gripper(0.5, at_s=NOW_S)
     after, command = step(before, seen_in(Phase.FAULT, gripper=jaws, request=ask(RequestKind.GUARD_ON)), PARAMS)
     assert command.refusal is None
@@ -43,7 +43,7 @@ def test_guarding_again_in_a_fault_starts_with_the_grip_that_is_there() -> None:
     assert (after.grip.target_n, after.grip.closed) == (40.0, True)
     assert not after.hands_off.closing_interrupted
     assert after.grip.commanded_s == -math.inf, "a grip that was taken over is left as it is"
-    assert after.held.memory != PRIMED
+    assert after.held.load != GUARDED
 
 
 def test_a_release_stops_the_arm_again_until_it_reports_that_it_stands() -> None:

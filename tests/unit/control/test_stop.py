@@ -98,7 +98,7 @@ def test_while_the_arm_waits_for_a_slip_to_settle_a_stop_ends_the_lift() -> None
 
 def test_an_object_is_not_put_down_after_a_stop() -> None:
     """The slip that goes on at the force limit latches its fault, but the arm stays where it was stopped."""
-    params = guard_params(on_force_limit="lower", force_max_n=40.0, tighten_at_rest_deg=10.0)
+    params = guard_params(on_force_limit="lower", force_max_n=40.0)
     for stopped in (False, True):
         play = Play(params).held()
         play.step(RequestKind.LIFT)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 from observations import arm, fused, gripper, observation
-from records import changed, grasp_state
+from records import changed, grasp_state, load_state
 
 from slipguard.control.messages import Condition, FingerHealth, Observation
 from slipguard.control.params import GuardParams
@@ -19,7 +19,7 @@ TICK_S = 0.01
 KNOWN = Supervision(arm_known=True, gripper_known=True, frames_known=True)
 HOLDING = grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0)
 LIFTING = grasp_state(phase=Phase.LIFTING, referenced=True, target_n=40.0, goal_mm=100.0, ground_mm=0.0)
-SLIPPING = grasp_state(phase=Phase.HOLDING, referenced=True, slip=SlipEpisode(0.0, 0.0, 2.0, 20.0, 0.0))
+SLIPPING = grasp_state(phase=Phase.HOLDING, referenced=True, slip=SlipEpisode(0.0, 0.0))
 LOST = FingerHealth(Condition.LOST, 0.5, "unplugged")
 STALE = FingerHealth(Condition.STALE, 0.2, "frozen")
 
@@ -90,14 +90,14 @@ CASES: list[tuple[str, GraspState, Callable[[float], Observation], FaultCode | N
     ),
     (
         "shifts contradict in a grip that was tightened",
-        grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, first_n=20.0),
+        grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, load=load_state(tightened=True)),
         lambda t: observation(t, fused=changed(fused(at_s=t), shift_conflict="x")),
         None,
         3.0,
     ),
     (
         "conflict in a grip that was tightened",
-        grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, first_n=20.0),
+        grasp_state(phase=Phase.HOLDING, referenced=True, target_n=40.0, load=load_state(tightened=True)),
         lambda t: observation(t, fused=fused(at_s=t, conflict="x")),
         FaultCode.ESTIMATE_UNTRUSTED,
         1.0,

@@ -15,11 +15,11 @@ import pytest
 from mcap.reader import make_reader
 from recorded_cycles import CLOCK, HEADER, FullDisk, gel_image, judged_at, tick_at, written
 
+from slipguard.control.contact_motion import ContactMotion
 from slipguard.control.control_step import ControlState
+from slipguard.control.load_state import LoadState
 from slipguard.control.messages import HaltJaws, HoldForce, LiftArm, MoveJaws, Observation, ReleaseJaws, StepOutput
 from slipguard.control.reports import Text
-from slipguard.control.slip_baselines import Baselines
-from slipguard.control.slip_memory import SlipMemory
 from slipguard.control.state import GraspState, Grip, HeldObject, Phase
 from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.store.recording import RecordingObserver
@@ -59,7 +59,7 @@ def play(one: Recorder, times: np.ndarray, keep_at: float | None = None) -> None
 
 
 def test_the_controllers_values_keep_every_bit() -> None:
-    held = HeldObject(memory=SlipMemory(Baselines(1 / 3), frames=2))
+    held = HeldObject(load=LoadState(ContactMotion((1 / 3, 0.0, 0.0)), far_frames=1))
     memory = ControlState(GraspState(Phase.LIFTING, 0.1 + 0.2, grip=Grip(commanded_s=-math.inf), held=held))
     assert m.MEMORY.decode(m.MEMORY.encode(memory)) == memory
     for gripper in (None, HoldForce(1 / 3), MoveJaws(1 / 3, 40.0), HaltJaws(), ReleaseJaws(1 / 3)):
