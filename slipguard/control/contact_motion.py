@@ -22,6 +22,8 @@ NOISE_START: Vector = (0.1, 0.03, 0.03)
 """Noise before it is learned: of a faint or smooth contact."""
 NOISE_SIGMAS = 3.0
 """A motion beyond this many standard deviations of the noise is no noise."""
+WIDENS_MOST = 3.0
+"""A sigma wider than usual widens the noise by no more than this: fingers that disagree must not hide slip."""
 NOISE_FRAMES = 20.0
 """The noise is learned at rest over this many frames, a third of a second."""
 RATE_S = 0.05
@@ -87,7 +89,7 @@ class ContactMotion:
             self,
             position=seen,
             usual_sigma_deg=usual_deg,
-            widening=sigma_deg / usual_deg if 0.0 < usual_deg < math.inf else 1.0,
+            widening=min(sigma_deg / usual_deg, WIDENS_MOST) if 0.0 < usual_deg < math.inf else 1.0,
             offsets=offsets,
             captured_s=max(fused.captured_at_s, self.captured_s),
             measured_s=max(fused.measured_at_s, fused.newest_at_s),
