@@ -109,7 +109,7 @@ class Bench:
 
     async def while_lifting(self, then: Callable[[], None] | None, camera: RenderedCamera | None = None) -> None:
         """Run, and call `then` during the lift; None: cancel, like Ctrl-C."""
-        task = asyncio.create_task(self.run(camera))
+        task = asyncio.create_task(self.run(camera, height_mm=60.0))  # longer than the time until `then`
         while self.service.phase is not Phase.LIFTING:
             assert not task.done()
             await asyncio.sleep(0.02)
@@ -275,7 +275,7 @@ def test_an_end_during_the_lift_stops_the_arm_and_keeps_the_grip(
         monkeypatch.setattr(real_lifts._Cell, "_limit_s", lambda cell, height_mm, speed_mm_s: 0.3)
     expected = "interrupted" if by == "Ctrl-C" else "the lift does not end"
     with pytest.raises(SlipguardError, match=rf"{expected}.*; the arm is stopped and the grip is kept"):
-        run_virtual(bench.while_lifting(None) if by == "Ctrl-C" else bench.run())
+        run_virtual(bench.while_lifting(None) if by == "Ctrl-C" else bench.run(height_mm=60.0))
     assert order[:2] == ["stop", "close"]
     assert len(bench.asked) == 1
     assert bench.holds()

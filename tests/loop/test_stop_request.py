@@ -83,10 +83,12 @@ def test_it_pauses_the_program_that_moves_the_arm_in_guard_mode() -> None:
 def test_a_slip_after_it_is_met_with_force() -> None:
     async def scene(cell: Cell) -> None:
         await cell.grasp()
-        first_n = cell.truth.applied_n
         await cell.submit(LiftRequest())
-        await cell.until(lambda: cell.truth.height_mm > 6.0)
+        await cell.until(lambda: cell.truth.height_mm > 20.0)
         await stopped(cell)
+        first_n = cell.truth.applied_n
+        cell.world.add_mass(cell.now_s, 3.0)
+        await asyncio.sleep(1.0)
         assert cell.truth.applied_n > first_n
         assert cell.truth.dropped is None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -74,13 +75,16 @@ async def _renew(finger: Finger) -> None:
     finger.renew_pipeline()
 
 
-def test_a_state_directory_that_is_a_file_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+def test_a_state_directory_that_is_a_file_ends_the_start_with_one_line(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "state").write_text("")
-    config = tmp_path / "cell.toml"
-    config.write_text(f'[state]\ndirectory = "{tmp_path / "state"}"\n')
-    monkeypatch.setenv("HOME", str(tmp_path))
-    ran = slipguard(capfd, "run", "--sim", "--config", config)
-    assert str(tmp_path / "state") in ran.complaint
-    assert ran.code == 2
+    with tempfile.TemporaryDirectory(prefix="sg") as short:  # a Unix socket's path has at most 107 bytes
+        state, config = Path(short) / "state", Path(short) / "cell.toml"
+        state.write_text("")
+        config.write_text(f'[state]\ndirectory = "{state}"\n')
+        monkeypatch.setenv("HOME", short)
+        ran = slipguard(capfd, "run", "--sim", "--config", config)
+        last = ran.err.strip().splitlines()[-1]  # after warnings about what could not be read
+        assert last.startswith("slipguard: the API's socket")
+        assert str(state) in last
+        assert ran.code == 2

@@ -101,3 +101,13 @@ def test_no_grip_is_made_firmer_for_an_object_that_no_finger_has_seen() -> None:
     outputs = play.steps(1.5)
     assert [output.fault.code for output in outputs if output.fault][:1] == [FaultCode.FINGERS_BLIND]
     assert {output.hold_force_n for output in outputs} == {None}
+
+
+def test_a_contact_that_is_seen_late_after_the_grip_is_reported_once() -> None:
+    play = Play()
+    play.step(RequestKind.GRASP)
+    play.view = seen(False, False)
+    play.steps(0.4)
+    play.view = seen(True, True)
+    texts = [output.text or "" for output in play.steps(0.2)]
+    assert sum("contact was seen" in text for text in texts) == 1

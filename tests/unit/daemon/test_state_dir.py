@@ -13,8 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from slipguard.control.needed_force import STIFFNESS_PRIOR
 
+from slipguard.control.load_state import STIFFNESS_PRIOR
 from slipguard.control.state import Adoption
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.gel_stiffness import restore_stiffness
