@@ -53,6 +53,7 @@ class Sandbox:
             cwd=self.path / "work",
             env={
                 "HOME": str(self.path / "home"),
+                "XDG_STATE_HOME": str(self.path / "s"),  # a Unix socket's path has at most 107 bytes
                 "TMPDIR": str(self.path / "tmp"),
                 "PATH": "/usr/bin:/bin",
                 "PYTHONPATH": os.pathsep.join(search),
