@@ -11,7 +11,7 @@ each motion by du / u(N), and is never longer than 1: what would exceed 1 is sli
 (N' / N)^(1 + gamma).
 
 The elastic limit u depends on the gel and on the friction, and is not known: it may be a tenth of a degree on a stiff
-pad and 15 degrees on a soft one. While the far end of an object still rests on the table, no image tells slip from
+pad and 15 degrees on a soft one. While the far end of an object still rests on the table, no image separates slip from
 elastic motion. So there is one lambda for each limit of a grid, with a weight. Three things change the weights:
 
 - The gels have shown their stiffness in earlier grasps; the friction differs between objects (`start`).

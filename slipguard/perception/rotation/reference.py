@@ -80,11 +80,6 @@ class ReferenceSelector:
         """Whether the reference was not stable when it was taken, and may still be replaced."""
 
     @property
-    def carries(self) -> bool:
-        """Whether the reference has replaced another one, whose rotation is part of every rotation."""
-        return self._carried is not None
-
-    @property
     def carried_deg(self) -> float:
         """Rotation up to the present reference; 0 for the first one."""
         return 0.0 if self._carried is None else self._carried.rotation.rotation_deg or 0.0
