@@ -107,7 +107,7 @@ def changed_value(draw: Random, value: Any) -> Any:
     if isinstance(value, list) and value and draw.random() < 0.7:
         at = draw.randrange(len(value))
         return [*value[:at], changed_value(draw, value[at]), *value[at + 1 :]]
-    if isinstance(value, int | float) and not isinstance(value, bool) and draw.random() < 0.3:
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300 and draw.random() < 0.3:
         return value * draw.choice((-1, 0.0, 1e6, 1e-6, 2))
     return draw.choice(HOSTILE)
 
