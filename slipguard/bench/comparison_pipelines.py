@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
+from slipguard.perception.axial_angle import axial_difference_deg, wrap_axial_deg
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.rotation.axial_angle import axial_difference_deg, wrap_axial_deg
 
 MIN_AREA_PX = 200
 

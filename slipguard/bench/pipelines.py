@@ -15,9 +15,9 @@ from slipguard.bench.comparison_pipelines import BackgroundSubtraction, FrameNet
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.errors import ModelError
-from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter, default_model_path
 from slipguard.perception.settings import EstimatorName, PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, Skips
 

@@ -13,7 +13,7 @@ from skimage.morphology import skeletonize
 from skimage.morphology import thin as skimage_thin
 
 from slipguard.bench.results import ThinningResult
-from slipguard.perception.rotation.skeleton import thin
+from slipguard.perception.skeleton import thin
 
 MARGIN_PX = 2
 

@@ -72,7 +72,7 @@ def measure(
 
     Example: `slipguard measure frames/ --background background.png --json --masks masks/`
     """
-    from slipguard.perception.contact.segmenter import Segmenter
+    from slipguard.perception.segmenter import Segmenter
     from slipguard.perception.settings import PerceptionSettings
     from slipguard.tools import measure as tool
     from slipguard.tools.image_files import IMAGE_ENDINGS, find_image_files, read_gel_image

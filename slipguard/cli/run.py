@@ -94,7 +94,7 @@ def check(
     from rich.table import Table
 
     from slipguard.errors import ConfigError, ModelError
-    from slipguard.perception.contact.segmenter import Segmenter
+    from slipguard.perception.segmenter import Segmenter
 
     settings = _read_checked(config)
     try:

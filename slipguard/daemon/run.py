@@ -40,8 +40,8 @@ from slipguard.daemon.store.recording import make_recorder, record
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import FINGERS, DriverContext
 from slipguard.errors import DeviceTimeout, InputError
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.stored_reference import NO_BACKGROUND, ResumingPipeline
 from slipguard.recording.recorder import Recorder
 from slipguard.registry import build_device

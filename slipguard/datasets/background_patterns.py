@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX as H
-from slipguard.perception.contact.segmenter import INPUT_WIDTH_PX as W
+from slipguard.perception.segmenter import INPUT_HEIGHT_PX as H
+from slipguard.perception.segmenter import INPUT_WIDTH_PX as W
 
 Pattern = NDArray[np.float32]
 SUBPIXEL_BITS = 3

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from slipguard.datasets.dataset_files import labeled_frames
 from slipguard.datasets.samples import render_sample
 from slipguard.errors import InputError
-from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.perception.quality.background import estimate_background
+from slipguard.perception.background import estimate_background
+from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.sim.contact_label import LABEL_NAME, label
 
 CHUNK = 200

@@ -38,7 +38,7 @@ def check_processor() -> CheckResult:
 
 def check_network(config: Config) -> CheckResult:
     """Check that the segmentation network can be loaded."""
-    from slipguard.perception.contact.segmenter import Segmenter  # here, because onnxruntime is slow to import
+    from slipguard.perception.segmenter import Segmenter  # here, because onnxruntime is slow to import
 
     try:
         segmenter = Segmenter(config.perception.model)

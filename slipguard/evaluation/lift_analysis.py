@@ -16,7 +16,7 @@ from slipguard.evaluation.external_camera import markers_in
 from slipguard.evaluation.lift_recording import LiftData, TimedImage
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
 from slipguard.evaluation.markers import MarkerDetector
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.segmenter import Segmenter
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
 from slipguard.sim_lifts.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
 from slipguard.tools.image_files import VIDEO_ENDINGS

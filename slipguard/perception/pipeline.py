@@ -13,20 +13,20 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, FrameTorn, InputError
-from slipguard.perception.contact.change_detector import ChangeDetector
-from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks, ContactGate, block_means, blocks_near
-from slipguard.perception.contact.patch import Patch, find_patch, resize_mask_to_frame
+from slipguard.perception.axial_angle import wrap_axial_deg
+from slipguard.perception.change_detector import ChangeDetector
+from slipguard.perception.contact_gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks, ContactGate, block_means, blocks_near
+from slipguard.perception.dead_lines import DeadLines
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import Estimate, StageTimer
-from slipguard.perception.quality.dead_lines import DeadLines
-from slipguard.perception.quality.image_quality import ImageQuality
-from slipguard.perception.quality.torn_frame import REFUSED_MAX_S, find_tear
-from slipguard.perception.rotation.axial_angle import wrap_axial_deg
-from slipguard.perception.rotation.reference import RotationMeasurement
-from slipguard.perception.rotation.rotation_meter import RotationMeter
-from slipguard.perception.rotation.shift_meter import ShiftMeasurement
+from slipguard.perception.image_quality import ImageQuality
+from slipguard.perception.patch import Patch, find_patch, resize_mask_to_frame
+from slipguard.perception.reference import RotationMeasurement
+from slipguard.perception.rotation_meter import RotationMeter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.shift_meter import ShiftMeasurement
 from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
+from slipguard.perception.torn_frame import REFUSED_MAX_S, find_tear
 
 SEGMENT_S = 0.2
 """The network runs again after this time at the latest: on every twelfth frame at 60 Hz."""

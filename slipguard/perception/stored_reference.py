@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.patch import Patch
 from slipguard.perception.pipeline import Pipeline
 
 MATCHES_AFTER = 3

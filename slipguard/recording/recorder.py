@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.control.control_step import ControlState
-from slipguard.perception.contact.patch import resize_mask_to_frame
+from slipguard.perception.patch import resize_mask_to_frame
 from slipguard.recording import messages as m
 from slipguard.recording.ring import NoRoom, Retention, Ring
 from slipguard.recording.writer import RecordingClock, RecordingFile, RecordingHeader, open_new

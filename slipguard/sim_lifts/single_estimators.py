@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.axis import ESTIMATORS, estimate_axis, rotation_between_axes
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.patch import Patch
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axis import ESTIMATORS, estimate_axis, rotation_between_axes
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import ResumingPipeline
 from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slipguard.perception.rotation.axial_angle import axial_difference_deg, nearest_rotation_deg, wrap_axial_deg
+from slipguard.perception.axial_angle import axial_difference_deg, nearest_rotation_deg, wrap_axial_deg
 from slipguard.stress import shapes
 from slipguard.stress.map_checks import Map, check_axis_change, check_sequence, estimate_axes_of_two
 from slipguard.stress.product_functions import ProductFunctions, ScriptedPipeline

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.axis import ESTIMATORS
 from slipguard.perception.estimate import AxisEstimate
-from slipguard.perception.rotation.axis import ESTIMATORS
+from slipguard.perception.patch import Patch
 from slipguard.stress.product_functions import MAP_PX, THRESHOLD, ProductFunctions, ScriptedPipeline
 from slipguard.stress.trial_family import FamilyResults
 

@@ -7,7 +7,7 @@ from itertools import cycle
 import cv2
 import numpy as np
 
-from slipguard.perception.contact.patch import MEAN_MIN
+from slipguard.perception.patch import MEAN_MIN
 from slipguard.stress.map_checks import Map, check_sequence, check_thinning, estimate_axes, find_checked_patch
 from slipguard.stress.masks import Mask, degenerate_masks
 from slipguard.stress.product_functions import (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.rotation.rotation_filter import Hypothesis
+from slipguard.perception.rotation_filter import Hypothesis
 from slipguard.stress.map_checks import check_sequence, estimate_axes, find_checked_patch
 from slipguard.stress.product_functions import FRAME_S, ProductFunctions, ScriptedPipeline
 from slipguard.stress.shapes import ELONGATED, ShapePose, probability_map

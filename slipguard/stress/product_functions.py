@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
-from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.axis import estimate_axis
 from slipguard.perception.estimate import AxisEstimate, Estimate
+from slipguard.perception.patch import Patch, find_patch
 from slipguard.perception.pipeline import ContactSegmenter, Pipeline
-from slipguard.perception.rotation.axis import estimate_axis
-from slipguard.perception.rotation.rotation_filter import RotationFilter
-from slipguard.perception.rotation.skeleton import thin
+from slipguard.perception.rotation_filter import RotationFilter
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skeleton import thin
 from slipguard.perception.skipping import Skips
 
 MAP_WIDTH_PX, MAP_HEIGHT_PX = 120, 160

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.axis import estimate_axis
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axis import estimate_axis
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
 from slipguard.tools.sample_statistics import rounded

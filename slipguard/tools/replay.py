@@ -24,9 +24,9 @@ from slipguard.control.messages import StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.devices import FINGERS, Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate
 from slipguard.recording import messages as m

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from slipguard.datasets.background_patterns import drift, patterns, resized, structure
-from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.perception.quality.background import estimate_background
+from slipguard.perception.background import estimate_background
+from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 
 STRUCTURE_LEVELS = 28.0
 DRIFT_LEVELS = 16.0

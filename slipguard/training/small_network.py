@@ -12,7 +12,7 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 
 Inputs = Literal["both", "change", "frame"]
 SCALE = 1.0 / 48.0

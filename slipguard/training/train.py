@@ -19,8 +19,8 @@ from torch import Tensor
 from slipguard.datasets.frame_cache import TrainingFrames
 from slipguard.datasets.mask_scores import dice, iou
 from slipguard.errors import InputError
-from slipguard.perception.contact.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.perception.quality.background import estimate_background
+from slipguard.perception.background import estimate_background
+from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.training.augment import Augment
 from slipguard.training.small_network import SmallNet
 

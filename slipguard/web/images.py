@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.devices import FINGERS, FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.perception.contact.patch import Patch, resize_mask_to_frame
-from slipguard.perception.rotation.skeleton import middle_line
+from slipguard.perception.patch import Patch, resize_mask_to_frame
+from slipguard.perception.skeleton import middle_line
 from slipguard.web.ttl_cache import TtlCache
 
 FRAME_TTL_S = 1 / 60

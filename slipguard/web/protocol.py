@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import SlipguardError
-from slipguard.perception.contact.patch import ClippedSides
+from slipguard.perception.patch import ClippedSides
 
 _HEADER = struct.Struct(">II")
 MESSAGE_MAX_BYTES = 4 * 1024 * 1024

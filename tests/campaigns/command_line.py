@@ -78,7 +78,7 @@ def fit_sigma(
     """Fit the constants of the rotation's sigma to rotations of known size.
 
     Run it again when the network, the renderer or the registration has changed. The constants are in
-    `slipguard/perception/rotation/registration.py` and `gel_memory.py`.
+    `slipguard/perception/registration.py` and `gel_memory.py`.
 
     Example: `python -m tests.campaigns fit-sigma --grasps 2`
     """
@@ -115,7 +115,7 @@ def network_table(
 
     Example: `python -m tests.campaigns network-table models/*.onnx`
     """
-    from slipguard.perception.contact.segmenter import Segmenter
+    from slipguard.perception.segmenter import Segmenter
     from tests.campaigns.network_table import HEADER, compare_networks, grasp_frames, recorded_frames
 
     networks = [(path.stem, Segmenter(path)) for path in models]
@@ -189,7 +189,7 @@ def rotated_presses(
 
     Example: `python -m tests.campaigns rotated-presses real_digit/ --part test --json`
     """
-    from slipguard.perception.contact.segmenter import Segmenter
+    from slipguard.perception.segmenter import Segmenter
     from tests.campaigns.rotated_presses import ROTATION_METHODS, measure_presses, press_statistics
 
     segmenter = Segmenter(model)

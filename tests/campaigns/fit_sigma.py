@@ -18,17 +18,17 @@ import numpy as np
 from slipguard.datasets.effect_scenes import EFFECTS, render_effect
 from slipguard.datasets.rendered_grasps import FRAME_S, RenderedGrasp, render_grasp
 from slipguard.devices import FRAME_WIDTH_PX
-from slipguard.perception.contact.patch import Patch, find_patch
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception import gel_memory, registration
 from slipguard.perception.estimate import RotationEstimate
-from slipguard.perception.rotation import gel_memory, registration
-from slipguard.perception.rotation.gel_memory import ImprintMemory
-from slipguard.perception.rotation.registration import Registration
-from slipguard.perception.rotation.rotation_filter import RotationFilter
-from slipguard.perception.rotation.texture_map import TextureMapReader
-from slipguard.perception.rotation.texture_template import make_texture_template
-from slipguard.perception.rotation.texture_tracker import TextureTracker
+from slipguard.perception.gel_memory import ImprintMemory
+from slipguard.perception.patch import Patch, find_patch
+from slipguard.perception.registration import Registration
+from slipguard.perception.rotation_filter import RotationFilter
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.texture_map import TextureMapReader
+from slipguard.perception.texture_template import make_texture_template
+from slipguard.perception.texture_tracker import TextureTracker
 from slipguard.sim.catalogue import find_object, object_names
 
 SEED = 8300

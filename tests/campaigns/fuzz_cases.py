@@ -46,8 +46,8 @@ from slipguard.daemon.store.recording import config_json
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.devices import FINGERS, ArmState, Frame, GripperState
 from slipguard.errors import SlipguardError
-from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter, default_model_path
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.stored_reference import StoredReference
 from slipguard.recording import messages as m

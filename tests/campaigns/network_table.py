@@ -20,7 +20,7 @@ from slipguard.datasets.rendered_grasps import render_grasp
 from slipguard.errors import InputError
 from slipguard.evaluation.lift_analysis import MASK_GAP_S, mask_of
 from slipguard.evaluation.lift_recording import lift_paths, read_lift
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.segmenter import Segmenter
 from slipguard.sim.catalogue import object_names
 from slipguard.tools.parallel import Workers, each
 from slipguard.tools.replay import recorded_settings

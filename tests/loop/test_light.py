@@ -23,8 +23,8 @@ from slipguard.daemon.api.snapshot import health_problem, snapshot
 from slipguard.daemon.store.background_images import BackgroundImage, average_background
 from slipguard.devices import FINGERS
 from slipguard.errors import CommandRefused
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit

@@ -78,7 +78,7 @@ def test_the_network_is_small_enough(wheel: Path) -> None:
 def test_it_is_the_installed_one_that_runs(installed_sandbox: Sandbox, installed: Path) -> None:
     where = (
         "import slipguard, slipguard_drivers; "
-        "from slipguard.perception.contact.segmenter import default_model_path as model; "
+        "from slipguard.perception.segmenter import default_model_path as model; "
         "print(slipguard.__file__, slipguard_drivers.__file__, model(), sep='\\n')"
     )
     done = installed_sandbox.run("-c", where)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from tests.campaigns.real_frames import TUNING_INDENTER_LAST
 

@@ -10,10 +10,10 @@ import pytest
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.datasets.mask_scores import iou
 from slipguard.devices import Frame
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.dead_lines import DeadLines
+from slipguard.perception.image_quality import LIMITS, pixel_figures
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.quality.dead_lines import DeadLines
-from slipguard.perception.quality.image_quality import LIMITS, pixel_figures
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from tests.campaigns.real_backgrounds import no_contact_frames, stale
 from tests.campaigns.real_frames import RealFrame, real_frames

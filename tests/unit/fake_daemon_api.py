@@ -17,7 +17,7 @@ from slipguard.daemon.api.requests import CalibrateRequest, DaemonRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.devices import FINGERS, Frame, GripperState
-from slipguard.perception.contact.patch import ClippedSides
+from slipguard.perception.patch import ClippedSides
 from slipguard.web.access import Access
 from slipguard.web.route_context import RouteContext
 from slipguard.web.serve import serve

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from slipguard.datasets.rendered_grasps import bench_object
 from slipguard.devices import Frame
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, Skips
 from slipguard.perception.stored_reference import ResumingPipeline

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
+from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView

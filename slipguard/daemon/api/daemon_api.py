@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from slipguard.daemon.api.requests import DaemonRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.devices import Frame
-from slipguard.perception.contact.patch import ClippedSides
+from slipguard.perception.patch import ClippedSides
 
 NEXT_FRAME_TIMEOUT_S = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactOverlay:
-    """The contact found in a frame, as far as it is drawn: see `slipguard.perception.contact.patch.Patch`.
+    """The contact found in a frame, as far as it is drawn: see `slipguard.perception.patch.Patch`.
 
     mask: (h, w) uint8, 0 or 1, a crop of the network's image. left_px, top_px: its first column and row there.
     image_size: (width, height) of the network's image. axis_deg: in the image, axial, counter-clockwise as a viewer

@@ -19,8 +19,8 @@ from slipguard.daemon.loop.observers import Observers
 from slipguard.daemon.loop.worker import Worker
 from slipguard.devices import Frame, TactileSensor
 from slipguard.errors import FrameTorn, SlipguardError
-from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.patch import Patch
 from slipguard.perception.skipping import repeat_estimate, second_finger_can_skip
 
 STUCK_AFTER_S = 0.05

@@ -25,7 +25,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundStore
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import SlipguardError
-from slipguard.perception.quality.gel_wear import GelChange, compare_gel
+from slipguard.perception.gel_wear import GelChange, compare_gel
 
 SAMPLE_S = 2.0
 FRAMES = 30
@@ -37,7 +37,7 @@ TOUCHED_S = 600.0
 """Contact for this long with open jaws at rest is no touch: something sticks to the gel, or the light has changed."""
 LEVEL_MAX = 15.0
 """Gray levels, as `UNEVEN_MAX`: each is half of the difference that the contact gate accepts (see
-`slipguard.perception.contact.gate`). Frames of two real units, minutes apart, differ by up to 5.4 evenly."""
+`slipguard.perception.contact_gate`). Frames of two real units, minutes apart, differ by up to 5.4 evenly."""
 UNEVEN_MAX = 4.0
 WORN_MM2 = 0.3
 """A spot of 0.6 mm. Rendered drifts of up to 15 levels leave marks of 0.07 mm2 at most, real ones none."""

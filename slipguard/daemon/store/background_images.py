@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
-from slipguard.perception.quality.image_quality import check_background
+from slipguard.perception.image_quality import check_background
 
 FRAMES = 30
 """Half a second at 60 fps: averaging reduces the noise to a fifth, and a brief touch is noticed."""

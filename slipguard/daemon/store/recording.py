@@ -22,8 +22,8 @@ from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.loop.service import Service
 from slipguard.errors import InputError
-from slipguard.perception.contact.segmenter import default_model_path
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.segmenter import default_model_path
 from slipguard.recording import messages as m
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings
 from slipguard.recording.ring import Ring, RingLimits

@@ -9,8 +9,8 @@ import numpy as np
 
 from slipguard.daemon.loop.finger import PerceptionPipeline
 from slipguard.devices import Frame
-from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.patch import Patch
 from slipguard.sim.world import World
 
 SIGMA_DEG = 0.4

@@ -9,8 +9,8 @@ import numpy as np
 from slipguard.datasets.rendered_grasps import RenderedGrasp, render_grasp
 from slipguard.devices import Frame
 from slipguard.errors import FrameTorn
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from tests.campaigns.torn.splices import spliced
 

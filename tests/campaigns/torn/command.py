@@ -13,7 +13,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from slipguard.perception.quality.torn_frame import find_tear
+from slipguard.perception.torn_frame import find_tear
 from slipguard.sim.catalogue import object_names
 from tests.campaigns.torn.angle_errors import angle_errors
 from tests.campaigns.torn.closed_loop import LIFT_KINDS, torn_lift

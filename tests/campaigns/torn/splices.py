@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.quality.torn_frame import find_tear
+from slipguard.perception.torn_frame import find_tear
 from slipguard.sim import shapes
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.catalogue import object_names

@@ -34,7 +34,7 @@ from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, RenderedGrasp, render_grasp
 from slipguard.devices import Frame
 from slipguard.errors import InputError, ModelError
-from slipguard.perception.contact.segmenter import default_model_path
+from slipguard.perception.segmenter import default_model_path
 from tests.campaigns import bench_table
 
 KEYS = [

@@ -9,9 +9,9 @@ import pytest
 from slipguard.bench.slip_onset import SlipOnset, detection_delay, first_detection
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import ALL_SKIPS, Skips
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slipguard.datasets.effect_scenes import render_effect
-from slipguard.perception.contact.segmenter import Segmenter
-from slipguard.perception.rotation.gel_memory import ImprintMemory
-from slipguard.perception.rotation.registration import Ghost, Registration, TexturePose
+from slipguard.perception.gel_memory import ImprintMemory
+from slipguard.perception.registration import Ghost, Registration, TexturePose
+from slipguard.perception.segmenter import Segmenter
 from tests.campaigns.fit_sigma import RotationSample, constants_in_use, fitted, samples, table, using
 
 SPREAD = ("registration", "SPREAD")

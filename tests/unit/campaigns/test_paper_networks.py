@@ -12,7 +12,7 @@ import pytest
 from command_line import slipguard
 
 from slipguard.errors import InputError, ModelError
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.segmenter import Segmenter
 from tests.campaigns.command_line import run
 
 pytestmark = pytest.mark.extras("torch", "onnx", "segmentation_models_pytorch")
@@ -204,7 +204,7 @@ def test_misuse_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], l
 
 
 def test_the_comparison_table_scores_a_network(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from slipguard.perception.contact.segmenter import Segmenter
+    from slipguard.perception.segmenter import Segmenter
     from tests.campaigns import network_table
 
     rng = np.random.default_rng(1)

@@ -13,8 +13,8 @@ from sampled import sampled
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, SlipguardError
-from slipguard.perception.contact.segmenter import Segmenter, default_model_path
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter, default_model_path
 from slipguard.perception.settings import PerceptionSettings
 
 KEYS = {

@@ -16,7 +16,7 @@ from command_line import slipguard
 from slipguard.cli.app import app
 from slipguard.daemon import run as root
 from slipguard.errors import ConfigError
-from slipguard.perception.contact.segmenter import default_model_path
+from slipguard.perception.segmenter import default_model_path
 
 WRONG = {
     "frobnicate": "no such command 'frobnicate'; see `slipguard --help`",

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from test_gate import camera, glow, press
 
-from slipguard.perception.contact.change_detector import AVERAGED, QUIET_MAX_S, QUIET_MIN_S, ChangeDetector
-from slipguard.perception.contact.gate import DEFAULT_NOISE_BGR, ContactGate, block_means, blocks_near
+from slipguard.perception.change_detector import AVERAGED, QUIET_MAX_S, QUIET_MIN_S, ChangeDetector
+from slipguard.perception.contact_gate import DEFAULT_NOISE_BGR, ContactGate, block_means, blocks_near
 
 NEAR = blocks_near(np.pad(np.ones((120, 100), np.uint8), ((100, 100), (70, 70))))
 

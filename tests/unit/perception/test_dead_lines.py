@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.dead_lines import DeadLines
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.quality.dead_lines import DeadLines
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from skimage.measure import label, regionprops
 
-from slipguard.perception.contact.patch import find_patch
+from slipguard.perception.patch import find_patch
 
 
 def disc(*spots: tuple[int, int, int]) -> NDArray[np.float32]:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
+from slipguard.perception.axial_angle import axial_difference_deg
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axial_angle import axial_difference_deg
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import Skips
 from slipguard.stress.textured_surfaces import LedLights, Surface, ball, lettered, plate, ring

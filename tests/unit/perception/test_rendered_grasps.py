@@ -11,8 +11,8 @@ import pytest
 
 from slipguard.datasets.effect_scenes import EffectName, render_effect
 from slipguard.datasets.rendered_grasps import RenderedGrasp, render_grasp
-from slipguard.perception.contact.segmenter import Segmenter
 from slipguard.perception.pipeline import Pipeline
+from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 
 SEED = 4711

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import RotationEstimate
-from slipguard.perception.rotation.rotation_filter import (
+from slipguard.perception.rotation_filter import (
     ACCELERATION_DEG_S2,
     RATE_STALE_S,
     Hypothesis,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slipguard.errors import InputError, ModelError
-from slipguard.perception.contact.segmenter import Segmenter, default_model_path
-from slipguard.perception.quality.background import estimate_background
+from slipguard.perception.background import estimate_background
+from slipguard.perception.segmenter import Segmenter, default_model_path
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import SensorUnit

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from slipguard.perception.rotation.skeleton import thin
+from slipguard.perception.skeleton import thin
 
 Mask = NDArray[np.uint8]
 

@@ -25,8 +25,8 @@ from slipguard.daemon.loop.finger import ProcessedFrame
 from slipguard.daemon.store.recording import RecordingObserver
 from slipguard.devices import Frame
 from slipguard.errors import InputError
-from slipguard.perception.contact.patch import find_patch
 from slipguard.perception.estimate import Estimate
+from slipguard.perception.patch import find_patch
 from slipguard.recording import messages as m
 from slipguard.recording.reader import StoredImage, StoredMessage, open_recording
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings

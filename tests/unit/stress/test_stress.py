@@ -19,11 +19,11 @@ from slipguard.cli.app import run as cli
 from slipguard.control.finger_fusion import FusedEstimate, fuse
 from slipguard.devices import Frame
 from slipguard.errors import InputError
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.axis import estimate_axis
 from slipguard.perception.estimate import AxisEstimate, Estimate, RotationEstimate
+from slipguard.perception.patch import Patch
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.axis import estimate_axis
-from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
+from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
 from slipguard.stress.masks import degenerate_masks
 from slipguard.stress.product_functions import ProductFunctions
 from slipguard.stress.report import as_json, first_failures

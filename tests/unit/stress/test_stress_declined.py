@@ -14,7 +14,7 @@ from rich.console import Console
 from slipguard.devices import Frame
 from slipguard.perception.estimate import AxisEstimate, Estimate, RotationEstimate
 from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
+from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
 from slipguard.stress import drift_families, runner
 from slipguard.stress.drift_families import HOLDING, OBJECTS
 from slipguard.stress.product_functions import ProductFunctions

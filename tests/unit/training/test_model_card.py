@@ -3,7 +3,7 @@
 import hashlib
 import re
 
-from slipguard.perception.contact.segmenter import Segmenter, default_model_path
+from slipguard.perception.segmenter import Segmenter, default_model_path
 
 LARGEST_BYTES = 1_500_000
 

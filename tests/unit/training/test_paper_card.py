@@ -4,7 +4,7 @@ import hashlib
 import re
 from pathlib import Path
 
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.segmenter import Segmenter
 
 MODELS = Path(__file__).resolve().parents[3] / "models"
 NAME = "deeplabv3plus-resnet18.onnx"

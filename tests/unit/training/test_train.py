@@ -10,7 +10,7 @@ from command_line import slipguard
 
 from slipguard.cli.train import train as train_command
 from slipguard.errors import InputError
-from slipguard.perception.contact.segmenter import Segmenter
+from slipguard.perception.segmenter import Segmenter
 
 needs_torch = pytest.mark.extras("torch", "onnx")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
-from slipguard.perception.contact.patch import ClippedSides
+from slipguard.perception.patch import ClippedSides
 from slipguard.web import images as pictures_module
 from slipguard.web.app import make_app
 from slipguard.web.images import AXIS_BGR, CONTOUR_BGR, SKELETON_BGR, FingerImages, draw_contact

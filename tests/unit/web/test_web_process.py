@@ -21,7 +21,7 @@ from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
 from slipguard.daemon.api.requests import CalibrateRequest, ClearRequest, GraspRequest, LiftRequest, ReleaseRequest
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused, DeviceTimeout, SlipguardError
-from slipguard.perception.contact.patch import ClippedSides
+from slipguard.perception.patch import ClippedSides
 from slipguard.web.host import run_api, wait_or_kill
 from slipguard.web.protocol import (
     MESSAGE_MAX_BYTES,

@@ -8,19 +8,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.axial_angle import wrap_axial_deg
+from slipguard.perception.axis import estimate_axis, rotation_between_axes
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, RotationEstimate, StageTimer
-from slipguard.perception.rotation.axial_angle import wrap_axial_deg
-from slipguard.perception.rotation.axis import estimate_axis, rotation_between_axes
-from slipguard.perception.rotation.reference import Reference, ReferenceSelector, RotationMeasurement
-from slipguard.perception.rotation.registration import Registration
-from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
-from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
-from slipguard.perception.rotation.texture_map import TextureMapReader
-from slipguard.perception.rotation.texture_template import make_texture_template
-from slipguard.perception.rotation.texture_tracker import TextureTracker, TrackedTexture
+from slipguard.perception.patch import Patch
+from slipguard.perception.reference import Reference, ReferenceSelector, RotationMeasurement
+from slipguard.perception.registration import Registration
+from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.shift_meter import ShiftMeasurement, ShiftMeter
+from slipguard.perception.texture_map import TextureMapReader
+from slipguard.perception.texture_template import make_texture_template
+from slipguard.perception.texture_tracker import TextureTracker, TrackedTexture
 
 ALIKE, ROTATION_DEG, SHIFT_PX = 0.03, 8.0, 3.0
 """Changes up to which a contact moves as a whole since it was segmented: correlation with the reference, rotation, and

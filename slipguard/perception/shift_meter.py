@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason
-from slipguard.perception.rotation.texture_map import REDUCTION
-from slipguard.perception.rotation.texture_template import TextureTemplate
-from slipguard.perception.rotation.texture_tracker import TrackedTexture, rotated
+from slipguard.perception.patch import Patch
+from slipguard.perception.texture_map import REDUCTION
+from slipguard.perception.texture_template import TextureTemplate
+from slipguard.perception.texture_tracker import TrackedTexture, rotated
 
 PERIOD_MIN_PX, PERIOD_MAX_PX = 4, 44
 """Searched periods, texture pixels: 0.4 to 4.7 mm."""

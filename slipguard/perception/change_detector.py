@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks
+from slipguard.perception.contact_gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks
 
 AVERAGED = 8
 """The kept image is the mean of this many unchanged ones, which lowers its noise."""

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.patch import Patch
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Field, TextureMap, mask_in_window
+from slipguard.perception.patch import Patch
+from slipguard.perception.texture_map import HEIGHT_PX, WIDTH_PX, Field, TextureMap, mask_in_window
 
 SKIRT_PX = 5
 """The slopes around the contact count as far out as this, texture pixels."""

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.rotation.texture_map import HEIGHT_PX, WIDTH_PX, Field, ImageWindow, TextureMap
-from slipguard.perception.rotation.texture_template import EDGE_PX, MOTIONS, TextureTemplate
+from slipguard.perception.texture_map import HEIGHT_PX, WIDTH_PX, Field, ImageWindow, TextureMap
+from slipguard.perception.texture_template import EDGE_PX, MOTIONS, TextureTemplate
 
 ITERATIONS_MAX = 8
 ROBUST = 2.5

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.axial_angle import axial_difference_deg, wrap_axial_deg
 from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.rotation.axial_angle import axial_difference_deg, wrap_axial_deg
-from slipguard.perception.rotation.skeleton import MiddleLine
+from slipguard.perception.patch import Patch
+from slipguard.perception.skeleton import MiddleLine
 
 EVEN_SHARE = 0.1
 """Largest difference, as a share, between the halves of a patch on even and odd rows and columns."""

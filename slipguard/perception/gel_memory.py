@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from slipguard.perception.estimate import RotationEstimate
-from slipguard.perception.rotation.registration import Ghost
+from slipguard.perception.registration import Ghost
 
 SHARE_STD = 0.2
 """Standard deviation of the share before any rotation is seen: gels that keep up to 0.4 are within two."""

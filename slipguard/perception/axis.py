@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 
-from slipguard.perception.contact.patch import Patch, ragged_px
+from slipguard.perception.axial_angle import nearest_rotation_deg
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import AxisEstimate, RotationEstimate
-from slipguard.perception.rotation.axial_angle import nearest_rotation_deg
-from slipguard.perception.rotation.patch_axis import FIT_AXIS, PatchAxis, coarse_step, cut_share, skeleton_axis
-from slipguard.perception.rotation.skeleton import MiddleLine, middle_line
+from slipguard.perception.patch import Patch, ragged_px
+from slipguard.perception.patch_axis import FIT_AXIS, PatchAxis, coarse_step, cut_share, skeleton_axis
+from slipguard.perception.skeleton import MiddleLine, middle_line
 
 ESTIMATORS = ("moments", "ellipse", "pca", "skeleton")
 ROUND_ASPECT = 1.15

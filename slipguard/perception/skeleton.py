@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.patch import Patch
 
 CORNER_SLOPE = 0.5
 """Along a line of the skeleton the distance to the contour changes by the sine of half the angle between the two sides

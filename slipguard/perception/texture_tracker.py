@@ -8,9 +8,9 @@ from functools import cached_property
 
 from slipguard.perception.declined import DeclineReason, explain
 from slipguard.perception.estimate import RotationEstimate
-from slipguard.perception.rotation.gel_memory import SHARE_MAX, ImprintMemory
-from slipguard.perception.rotation.registration import Registration, TexturePose, register
-from slipguard.perception.rotation.rotation_curve import (
+from slipguard.perception.gel_memory import SHARE_MAX, ImprintMemory
+from slipguard.perception.registration import Registration, TexturePose, register
+from slipguard.perception.rotation_curve import (
     APART_DEG,
     SIMILAR_APART_DEG,
     STARTS_MAX,
@@ -18,9 +18,9 @@ from slipguard.perception.rotation.rotation_curve import (
     maxima_deg,
     similar_deg,
 )
-from slipguard.perception.rotation.rotation_filter import Hypothesis, RotationFilter
-from slipguard.perception.rotation.texture_map import REDUCTION, TextureMap
-from slipguard.perception.rotation.texture_template import TextureTemplate
+from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
+from slipguard.perception.texture_map import REDUCTION, TextureMap
+from slipguard.perception.texture_template import TextureTemplate
 
 CAPTURE_DEG = 12.0
 """A registration finds rotations this far from its start. If the object may be further, all rotations are searched."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.gate import check_frame
+from slipguard.perception.contact_gate import check_frame
 
 DEAD_LEVELS = 16.0
 """A dead line differs by this much (gray levels, its colors together, median along it) from the lines on both sides.

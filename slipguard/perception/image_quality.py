@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.gate import BLACK_LEVEL, BLOCKS_HIGH, BLOCKS_WIDE, WHITE_LEVEL, Blocks, block_means
+from slipguard.perception.contact_gate import BLACK_LEVEL, BLOCKS_HIGH, BLOCKS_WIDE, WHITE_LEVEL, Blocks, block_means
 from slipguard.perception.declined import DeclineReason, explain
 
 Image = NDArray[np.uint8]

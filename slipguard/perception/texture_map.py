@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.perception.contact.patch import Patch
+from slipguard.perception.patch import Patch
 
 REDUCTION = 2
 """Frame pixels per pixel of the texture map: finer detail is below the gel's and the camera's own blur."""

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.contact.patch import Patch
 from slipguard.perception.estimate import AxisEstimate, RotationEstimate
-from slipguard.perception.rotation.shift_meter import ShiftMeasurement, ShiftMeter
-from slipguard.perception.rotation.texture_tracker import TextureTracker
+from slipguard.perception.patch import Patch
+from slipguard.perception.shift_meter import ShiftMeasurement, ShiftMeter
+from slipguard.perception.texture_tracker import TextureTracker
 
 STABLE_FRAMES = 5
 STABLE_SHARE = 0.05

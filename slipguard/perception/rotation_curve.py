@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.rotation.texture_map import ImageWindow, TextureMap
-from slipguard.perception.rotation.texture_template import TextureTemplate
+from slipguard.perception.texture_map import ImageWindow, TextureMap
+from slipguard.perception.texture_template import TextureTemplate
 
 STEP_DEG = 2.0
 POINTS = 500

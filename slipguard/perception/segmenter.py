@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError, ModelError
-from slipguard.perception.quality.background import estimate_background
+from slipguard.perception.background import estimate_background
 
 INPUT_WIDTH_PX = FRAME_WIDTH_PX // 2
 INPUT_HEIGHT_PX = FRAME_HEIGHT_PX // 2
@@ -45,7 +45,7 @@ def default_model_path() -> Path:
         ModelError: It is in neither place.
     """
     installed = Path(str(resources.files("slipguard"))) / "models" / DEFAULT_MODEL
-    checkout = Path(__file__).resolve().parents[3] / "models" / DEFAULT_MODEL
+    checkout = Path(__file__).resolve().parents[2] / "models" / DEFAULT_MODEL
     for path in (installed, checkout):
         if path.is_file():
             return path

@@ -1,1 +1,0 @@
-"""Where the object touches the gel: contact gate, segmentation, contact patch, change detection."""

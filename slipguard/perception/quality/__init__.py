@@ -1,1 +1,0 @@
-"""Whether a frame may be measured: image quality, dead lines, gel wear, estimate of a missing background image."""
