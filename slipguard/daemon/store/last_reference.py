@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import cv2
-import numpy as np
 import structlog
 from pydantic import Field, ValidationError
 
@@ -26,8 +25,7 @@ from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline
 from slipguard.daemon.store.dated_file import DatedFile, save_time
 from slipguard.daemon.store.disk_writer import DiskWriter
-from slipguard.daemon.store.state_dir import FILE_MAX_BYTES
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
+from slipguard.daemon.store.state_dir import FILE_MAX_BYTES, decode_stored_frame
 from slipguard.errors import InputError
 from slipguard.limited_read import read_limited
 from slipguard.perception.stored_reference import ResumingPipeline, StoredReference
@@ -98,12 +96,9 @@ class ReferenceStore:
             raise InputError(f"{path}: cannot be read; a new reference will be taken") from error
         if facts.serial != serial or facts.outdated(now) is not None:
             return None
-        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-        intact = hashlib.sha256(png).hexdigest() == facts.sha256
-        if not intact or image is None or image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
+        pixels = decode_stored_frame(png, facts.sha256)
+        if pixels is None:
             raise InputError(f"{path.with_suffix('.png')}: not the image that was stored; a new one will be taken")
-        pixels = np.asarray(image, np.uint8)
-        pixels.setflags(write=False)
         self._sha256[finger] = facts.sha256
         return StoredReference(pixels, facts.rotation_deg, facts.earlier_rotation_deg)
 

@@ -20,6 +20,7 @@ from typing import Annotated, Literal, TypeVar
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.atomic_file import write_atomically
@@ -101,6 +102,21 @@ def default_state_path(environ: Mapping[str, str] = os.environ) -> Path:
         return Path(given)
     home = environ.get("XDG_STATE_HOME") or str(Path(environ.get("HOME") or Path.home()) / ".local" / "state")
     return Path(home) / "slipguard"
+
+
+def decode_stored_frame(png: bytes, sha256: str) -> NDArray[np.uint8] | None:
+    """Return the pixels of a stored frame, (320, 240, 3) uint8 BGR, read-only; None if it is not what was stored."""
+    if hashlib.sha256(png).hexdigest() != sha256:
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:  # an empty file, or more pixels than OpenCV's limit
+        return None
+    if image is None or image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
+        return None
+    pixels = np.asarray(image, np.uint8)
+    pixels.setflags(write=False)
+    return pixels
 
 
 class StateDir:
@@ -209,13 +225,9 @@ class StateDir:
             png = read_limited(png_path, FILE_MAX_BYTES)
         except OSError as error:
             raise InputError(f"{png_path}: cannot be read ({error.strerror}); {action}") from None
-        if hashlib.sha256(png).hexdigest() != facts.sha256:
-            raise InputError(f"{png_path}: not the image that was stored (its sha256 differs); {action}")
-        image = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-        if image is None or image.shape != (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3):
-            raise InputError(f"{png_path}: not an image of 240 x 320; {action}")
-        pixels = np.asarray(image, np.uint8)
-        pixels.setflags(write=False)
+        pixels = decode_stored_frame(png, facts.sha256)
+        if pixels is None:
+            raise InputError(f"{png_path}: not the image of 240 x 320 that was stored (its sha256 differs); {action}")
         return BackgroundImage(pixels, facts.noise_bgr, facts.frames)
 
     def background_created_at(self, serial: str) -> datetime | None:

@@ -199,7 +199,7 @@ def test_a_reference_is_valid_for_the_same_sensor_and_for_an_hour(tmp_path: Path
     assert store.load("left", "D1", datetime.now(UTC) + VALID_FOR + timedelta(seconds=1)) is None
 
 
-@pytest.mark.parametrize("damage", ["no json", "half an image", "no image", "another image"])
+@pytest.mark.parametrize("damage", ["no json", "half an image", "an empty image", "no image", "another image"])
 def test_a_damaged_reference_is_not_used(tmp_path: Path, damage: str) -> None:
     store = ReferenceStore(tmp_path)
     store.save("left", "D1", StoredReference(IMAGE, 7.0))
@@ -208,6 +208,8 @@ def test_a_damaged_reference_is_not_used(tmp_path: Path, damage: str) -> None:
         (tmp_path / "left.json").write_text("{")
     elif damage == "half an image":
         png.write_bytes(png.read_bytes()[:1000])
+    elif damage == "an empty image":
+        png.write_bytes(b"")
     elif damage == "no image":
         png.unlink()
     else:

@@ -90,7 +90,7 @@ def test_an_image_of_another_size_is_an_error_with_its_name(tmp_path: Path) -> N
     before = hashlib.sha256(facts.with_suffix(".png").read_bytes()).hexdigest()
     facts.with_suffix(".png").write_bytes(png.tobytes())
     facts.write_text(facts.read_text().replace(before, hashlib.sha256(png.tobytes()).hexdigest()))
-    with pytest.raises(InputError, match=r"not an image of 240 x 320"):
+    with pytest.raises(InputError, match=r"not the image of 240 x 320"):
         state.load_background("D20479")
 
 
