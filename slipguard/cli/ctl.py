@@ -95,8 +95,9 @@ def state(context: typer.Context, socket: SocketOption = None, json: JsonOption 
     from rich.console import Console
 
     from slipguard.cli.state_view import state_table
+    from slipguard.daemon.api.state import State
 
-    Console(highlight=False).print(state_table(response))
+    Console(highlight=False).print(state_table(State.model_validate(response)))
 
 
 @app.command()

@@ -9,8 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from slipguard.config import GROUP_OF, Config
+from slipguard.config_errors import describe_validation_error
 from slipguard.daemon.api.client import Client, DaemonNotRunning
+from slipguard.daemon.api.state import State, StoredBackgrounds
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import FINGERS, DriverContext
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, note, ok, problem, problem_from_error
@@ -63,15 +67,18 @@ def _sample_daemon(socket: Path) -> DaemonSamples | CheckResult:
     """Return two states of the running daemon, or the result that none runs or responds."""
     try:
         with Client(socket) as client:
-            before = client.state()
+            before = State.model_validate(client.state())
             threading.Event().wait(OBSERVE_S)
-            return DaemonSamples(before, client.state(), OBSERVE_S, client.backgrounds())
+            after = State.model_validate(client.state())
+            stored = {name: StoredBackgrounds.model_validate(one) for name, one in client.backgrounds().items()}
+            return DaemonSamples(before, after, OBSERVE_S, stored)
     except DaemonNotRunning:
         return ok("daemon", "none runs; the devices were opened for this check and closed again")
     except SlipguardError as error:
         return problem_from_error("daemon", error, "", "stop it (`systemctl stop slipguard`) and run the doctor again")
-    except (KeyError, TypeError, ValueError) as error:
-        return problem("daemon", f"its response is not valid for this version ({error})", "restart it")
+    except ValidationError as error:
+        what = describe_validation_error(error)
+        return problem("daemon", f"its response is not valid for this version ({what})", "restart it")
 
 
 async def _check_device(name: str, config: Config, samples: DaemonSamples | None) -> list[CheckResult]:

@@ -6,6 +6,7 @@ Bodies and responses are JSON objects, described at /openapi.json. Errors are {"
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, Path, Query, Request, Response, WebSocket
@@ -15,8 +16,8 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.exceptions import HTTPException
 
 from slipguard import __version__
+from slipguard.daemon.api import state as state_models
 from slipguard.devices import FINGERS
-from slipguard.web import models
 from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION_HEADER
 from slipguard.web.commands import add_commands
 from slipguard.web.errors import error_response, error_responses, handle_http_exception, with_error_response
@@ -64,7 +65,7 @@ def make_app(context: RouteContext) -> FastAPI:
 
 
 def _add_state(app: FastAPI, context: RouteContext) -> None:
-    @app.get("/state", response_model=models.StateResponse, responses=error_responses())
+    @app.get("/state", response_model=state_models.State, responses=error_responses())
     async def state() -> Response:
         """Return the complete state, at most a tenth of a second old."""
 
@@ -73,7 +74,7 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
 
         return await with_error_response("/state", respond())
 
-    @app.get("/healthz", response_model=models.HealthyResponse, responses=error_responses())
+    @app.get("/healthz", response_model=state_models.HealthyResponse, responses=error_responses())
     async def healthz() -> Response:
         """Return whether the daemon is healthy; 503 with the reason if it is not."""
 
@@ -88,12 +89,13 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
         """Return state and counters in the format of Prometheus."""
 
         async def respond() -> Response:
-            text = prometheus_text(await context.state.get(), await context.counters.get())
+            state = state_models.State.model_validate_json(await context.state.get())
+            text = prometheus_text(state, json.loads(await context.counters.get()))
             return Response(text, media_type=CONTENT_TYPE_LATEST)
 
         return await with_error_response("/metrics", respond())
 
-    @app.get("/background", response_model=dict[str, models.StoredBackgrounds], responses=error_responses())
+    @app.get("/background", response_model=dict[str, state_models.StoredBackgrounds], responses=error_responses())
     async def backgrounds() -> Response:
         """Return number, time, noise and brightness of all stored background images, by finger."""
 
@@ -102,7 +104,7 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
 
         return await with_error_response("/background", respond())
 
-    @app.get("/access", response_model=models.AccessInfo, responses=error_responses())
+    @app.get("/access", response_model=state_models.AccessInfo, responses=error_responses())
     async def access(request: Request) -> Response:
         """Return whether this client may send commands."""
         return JSONResponse({"control": bool(request.scope.get(CONTROL_KEY, True))})
@@ -111,6 +113,11 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
     async def live(socket: WebSocket) -> None:
         """Send `history`, then `state` ten times per second, and each `event` at once."""
         await context.live.serve(socket)
+
+    @app.websocket("/estimates")
+    async def estimates(socket: WebSocket) -> None:
+        """Send each new estimate, as soon as the control loop has used it."""
+        await context.estimates.serve(socket)
 
     @app.websocket("/frames/{finger}")
     async def frames(socket: WebSocket, finger: str) -> None:

@@ -11,10 +11,10 @@ from starlette.exceptions import HTTPException
 
 from slipguard.config_errors import describe_validation_error
 from slipguard.daemon.api.requests import REQUESTS, CalibrateRequest, DaemonRequest
+from slipguard.daemon.api.state import CalibrationResponse, MessageResponse
 from slipguard.errors import CommandRefused
 from slipguard.web.connections import is_disconnected
 from slipguard.web.errors import error_response, error_responses, with_error_response
-from slipguard.web.models import CalibrationResponse, MessageResponse
 from slipguard.web.route_context import RouteContext
 
 BODY_MAX_BYTES = 4096

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -27,6 +28,8 @@ START_MAX_S = 60.0
 TICK_S = 0.5
 SEND_BUFFER_MAX_BYTES = 16 * 1024 * 1024
 """Events are dropped while more than this waits for the web process."""
+ESTIMATES_BUFFER_MAX_BYTES = 256 * 1024
+"""The same for estimates: these are 200, more than a second of both cameras."""
 JSON_METHODS = ("state", "counters", "backgrounds")
 FRAME_METHODS = ("frame", "processed_frame", "background")
 log = structlog.get_logger()
@@ -55,16 +58,26 @@ async def serve_web_process(daemon: DaemonApi, reader: asyncio.StreamReader, wri
         finally:
             free_calls.release()
 
+    def send_estimates(estimates: bytes) -> None:
+        if not writer.is_closing() and writer.transport.get_write_buffer_size() < ESTIMATES_BUFFER_MAX_BYTES:
+            for piece in encode_message({"estimates": True}, estimates):
+                writer.write(piece)
+
     async def receive_all() -> None:
         while (received := await read_message(reader)) is not None:
             silence.reset()
+            if "estimates" in received[0]:
+                subscriptions.pop_all().close()
+                if received[0]["estimates"]:
+                    subscriptions.callback(daemon.subscribe_estimates(send_estimates))
+                continue
             await free_calls.acquire()
             task = asyncio.create_task(respond(received[0]), name="web: respond")
             in_progress.add(task)
             task.add_done_callback(in_progress.discard)
 
     silence = _SilenceTimer()
-    unsubscribe = daemon.subscribe(send_event)
+    unsubscribe, subscriptions = daemon.subscribe(send_event), contextlib.ExitStack()
     receiving = asyncio.create_task(receive_all(), name="web: receive")
     stuck = asyncio.create_task(silence.wait(free_calls.locked), name="web: silence")
     try:
@@ -74,6 +87,7 @@ async def serve_web_process(daemon: DaemonApi, reader: asyncio.StreamReader, wri
         receiving.result()
     finally:
         unsubscribe()
+        subscriptions.close()
         for task in (*in_progress, receiving, stuck):
             task.cancel()
         await asyncio.gather(*in_progress, receiving, stuck, return_exceptions=True)

@@ -31,6 +31,7 @@ class DaemonProxy(DaemonApi):
         self._pending: dict[int, asyncio.Future[Response]] = {}
         self._events: list[Event] = []
         self._subscribers: list[Callable[[Event], None]] = []
+        self._estimate_subscribers: list[Callable[[bytes], None]] = []
         self.stop = asyncio.Event()
         """Set when the daemon asks the web process to stop."""
 
@@ -42,6 +43,9 @@ class DaemonProxy(DaemonApi):
                 self.stop.set()
             elif "event" in message:
                 self._publish(Event(**message["event"]))
+            elif "estimates" in message:
+                for on_estimates in self._estimate_subscribers:
+                    on_estimates(data)
             elif (pending := self._pending.get(message["id"])) is not None and not pending.done():
                 pending.set_result((message, data))
 
@@ -55,6 +59,18 @@ class DaemonProxy(DaemonApi):
             on_event(event)
         self._subscribers.append(on_event)
         return lambda: self._subscribers.remove(on_event)
+
+    def subscribe_estimates(self, on_estimates: Callable[[bytes], None]) -> Callable[[], None]:
+        def unsubscribe() -> None:
+            self._estimate_subscribers.remove(on_estimates)
+            self._request_estimates()
+
+        self._estimate_subscribers.append(on_estimates)
+        self._request_estimates()
+        return unsubscribe
+
+    def _request_estimates(self) -> None:
+        self._writer.write(b"".join(encode_message({"estimates": bool(self._estimate_subscribers)})))
 
     async def _call(
         self, method: str, arguments: Mapping[str, object] | None = None, timeout_s: float = RESPONSE_TIMEOUT_S

@@ -12,8 +12,8 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Match
 from starlette.types import Scope
 
+from slipguard.daemon.api.state import ErrorResponse
 from slipguard.errors import CommandRefused, SlipguardError
-from slipguard.web.models import ErrorResponse
 
 STATUS_DESCRIPTIONS = {
     400: "The body is not JSON.",

@@ -10,11 +10,11 @@ import struct
 from collections.abc import Awaitable, Callable
 
 import numpy as np
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from slipguard.daemon.api.daemon_api import FingerFrame
 from slipguard.web.errors import error_response
-from slipguard.web.live import SEND_TIMEOUT_S, wait_for_disconnect
+from slipguard.web.streams import send, send_until_disconnected
 
 HEADER = struct.Struct("<4sHHIdQ")
 """Magic, width, height, bytes of pixels, capture time on the monotonic clock, sequence number."""
@@ -45,15 +45,7 @@ class FrameBroadcast:
             return
         self._clients += 1
         try:
-            await socket.accept()
-            disconnected = asyncio.create_task(wait_for_disconnect(socket), name="frames: client")
-            sending = asyncio.create_task(self._send_all(socket), name="frames: send")
-            try:
-                await asyncio.wait((sending, disconnected), return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                sending.cancel()
-                disconnected.cancel()
-                await asyncio.gather(sending, disconnected, return_exceptions=True)
+            await send_until_disconnected(socket, lambda: self._send_all(socket))
         finally:
             self._clients -= 1
 
@@ -65,11 +57,7 @@ class FrameBroadcast:
                     self._fetching = asyncio.create_task(self._fetch(), name="frames: fetch")
                 await asyncio.wait((self._fetching,))
             sent = self._newest
-            try:
-                async with asyncio.timeout(SEND_TIMEOUT_S):
-                    await socket.send_bytes(sent[1])
-            except (TimeoutError, WebSocketDisconnect, RuntimeError):
-                return
+            await send(socket, sent[1])
 
     async def _fetch(self) -> None:
         """Replace the newest frame; after a failure, wait for `RETRY_S`."""

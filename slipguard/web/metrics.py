@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from prometheus_client import CollectorRegistry, generate_latest
@@ -16,79 +15,69 @@ from prometheus_client.core import (
 )
 from prometheus_client.registry import Collector
 
+from slipguard.daemon.api.state import State
+
 LOST_FRAMES = ("corrupt", "torn", "frozen", "stalled", "missed", "late")
 """Reasons of lost frames: these counts of a finger together."""
 
 
-def prometheus_text(state: bytes, counters: bytes) -> bytes:
-    """Return the metrics as text. state, counters: JSON objects as `DaemonApi` returns them."""
+def prometheus_text(state: State, counters: Mapping[str, Any]) -> bytes:
+    """Return the metrics as text. counters: as `DaemonApi.counters` returns them."""
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(_StateCollector(json.loads(state), json.loads(counters)))
+    registry.register(_StateCollector(state, counters))
     return generate_latest(registry)
 
 
 class _StateCollector(Collector):
-    def __init__(self, state: Mapping[str, Any], counters: Mapping[str, Any]) -> None:
+    def __init__(self, state: State, counters: Mapping[str, Any]) -> None:
         self._state, self._counters = state, counters
 
     def collect(self) -> Iterator[Metric]:
-        yield InfoMetricFamily("slipguard_build", "The running version.", {"version": str(self._state["version"])})
+        yield InfoMetricFamily("slipguard_build", "The running version.", {"version": self._state.version})
         yield from self._grasp()
         yield from self._frames()
         yield from self._times()
         yield from self._health()
 
     def _grasp(self) -> Iterator[Metric]:
-        state = self._state
-        rotation, gripper = state.get("rotation") or {}, state.get("gripper") or {}
-        yield _gauge(
-            "slipguard_rotation_degrees",
-            "Rotation since the grasp, with the sign of the left image.",
-            rotation.get("rotation_deg"),
-        )
-        yield _gauge(
-            "slipguard_rotation_sigma_degrees", "One standard deviation of the rotation.", rotation.get("sigma_deg")
-        )
-        yield _gauge("slipguard_force_newtons", "Force applied last, per finger.", gripper.get("force_n"))
-        yield _gauge("slipguard_target_force_newtons", "Target force, per finger.", state.get("target_force_n"))
-        yield _gauge("slipguard_jaws_millimetres", "Width between the jaws.", gripper.get("width_mm"))
-        for name, description in (
-            ("guarding", "1 while the guard acts on slip."),
-            ("slipping", "1 while the object slips."),
+        state, rotation, gripper = self._state, self._state.rotation, self._state.gripper
+        for name, what, value in (
+            (
+                "rotation_degrees",
+                "Rotation since the grasp, with the sign of the left image.",
+                rotation.rotation_deg if rotation else None,
+            ),
+            (
+                "rotation_sigma_degrees",
+                "One standard deviation of the rotation.",
+                rotation.sigma_deg if rotation else None,
+            ),
+            ("force_newtons", "Force applied last, per finger.", gripper.force_n if gripper else None),
+            ("target_force_newtons", "Target force, per finger.", state.target_force_n),
+            ("jaws_millimetres", "Width between the jaws.", gripper.width_mm if gripper else None),
+            ("guarding", "1 while the guard acts on slip.", state.guarding),
+            ("slipping", "1 while the object slips.", state.slipping),
+            ("fault", "1 while a fault is latched.", state.fault is not None),
+            ("recording", "1 while recording.", state.recording.state == "on"),
         ):
-            yield _gauge(f"slipguard_{name}", description, float(bool(state.get(name))))
-        phase = GaugeMetricFamily("slipguard_phase", "1 for the present phase.", labels=["phase"])
-        phase.add_metric([str(state["phase"])], 1.0)
-        yield phase
-        faults = CounterMetricFamily("slipguard_faults", "Faults latched since the start.", labels=["code"])
-        for code, count in self._counters.get("faults", {}).items():
-            faults.add_metric([code], count)
-        yield faults
-        yield _gauge("slipguard_fault", "1 while a fault is latched.", float(state.get("fault") is not None))
+            yield _labeled(GaugeMetricFamily, name, what, (), {} if value is None else {(): float(value)})
+        yield _labeled(GaugeMetricFamily, "phase", "1 for the present phase.", ("phase",), {(state.phase.value,): 1})
+        faults = {(code,): count for code, count in self._counters.get("faults", {}).items()}
+        yield _labeled(CounterMetricFamily, "faults", "Faults latched since the start.", ("code",), faults)
 
     def _frames(self) -> Iterator[Metric]:
-        frames = CounterMetricFamily("slipguard_frames", "Good frames.", labels=["finger"])
-        lost = CounterMetricFamily("slipguard_frames_lost", "Lost frames, by reason.", labels=["finger", "reason"])
-        restarts = CounterMetricFamily(
-            "slipguard_stream_restarts", "Restarts of a camera's stream because of torn frames.", labels=["finger"]
-        )
-        skipped = CounterMetricFamily(
-            "slipguard_frames_skipped", "Frames for which the network did not run.", labels=["finger", "reason"]
-        )
-        for finger, state in self._state.get("fingers", {}).items():
-            counts = state.get("counts", {})
-            frames.add_metric([finger], counts.get("frames", 0))
-            restarts.add_metric([finger], counts.get("restarts", 0))
-            for reason in LOST_FRAMES:
-                lost.add_metric([finger, reason], counts.get(reason, 0))
-            for reason, count in counts.get("skipped", {}).items():
-                skipped.add_metric([finger, reason], count)
-        yield from (frames, lost, restarts, skipped)
-        yield CounterMetricFamily(
-            "slipguard_deadlines_missed",
-            "Cycles of the loop that started too late.",
-            value=self._state["deadlines_missed"],
-        )
+        counts = {name: finger.counts for name, finger in self._state.fingers.items()}
+        frames = {(name,): one.frames for name, one in counts.items()}
+        restarts = {(name,): one.restarts for name, one in counts.items()}
+        lost = {(name, reason): getattr(one, reason) for name, one in counts.items() for reason in LOST_FRAMES}
+        skipped = {(name, reason): count for name, one in counts.items() for reason, count in one.skipped.items()}
+        for metric, what, labels, values in (
+            ("frames", "Good frames.", ("finger",), frames),
+            ("frames_lost", "Lost frames, by reason.", ("finger", "reason"), lost),
+            ("stream_restarts", "Restarts of a camera's stream because of torn frames.", ("finger",), restarts),
+            ("frames_skipped", "Frames for which the network did not run.", ("finger", "reason"), skipped),
+        ):
+            yield _labeled(CounterMetricFamily, metric, what, labels, values)
 
     def _times(self) -> Iterator[Metric]:
         edges_ms = self._counters.get("edges_ms", [])
@@ -109,41 +98,45 @@ class _StateCollector(Collector):
             yield family
 
     def _health(self) -> Iterator[Metric]:
-        ready = GaugeMetricFamily("slipguard_device_ready", "1 if the last response was good.", labels=["device"])
-        for name, device in self._state.get("devices", {}).items():
-            ready.add_metric([name], float(device.get("state") == "ready"))
-        yield ready
-        responses = CounterMetricFamily(
-            "slipguard_device_answers", "Responses to requests for the state.", labels=["device"]
+        ready = {(name,): float(device.ready) for name, device in self._state.devices.items()}
+        yield _labeled(GaugeMetricFamily, "device_ready", "1 if the last response was good.", ("device",), ready)
+        answers = {(name,): count for name, count in self._counters.get("devices_answered", {}).items()}
+        yield _labeled(
+            CounterMetricFamily, "device_answers", "Responses to requests for the state.", ("device",), answers
         )
-        for name, count in self._counters.get("devices_answered", {}).items():
-            responses.add_metric([name], count)
-        yield responses
-        recording = self._state.get("recording") or {}
-        yield _gauge("slipguard_recording", "1 while recording.", float(recording.get("state") == "on"))
-        yield CounterMetricFamily(
-            "slipguard_recording_left_out",
-            "Values that were not recorded because the buffer was full.",
-            value=recording.get("left_out", 0),
-        )
-        yield CounterMetricFamily(
-            "slipguard_observer_errors",
-            "Exceptions in recorder, metrics and other observers, without which the guard went on.",
-            value=self._counters.get("observer_errors", 0),
-        )
-        yield CounterMetricFamily(
-            "slipguard_log_lines_lost",
-            "Lines that were not logged because the terminal or journal was blocked.",
-            value=self._counters.get("log_lines_lost", 0),
-        )
+        for name, what, value in (
+            ("deadlines_missed", "Cycles of the loop that started too late.", self._state.deadlines_missed),
+            (
+                "recording_left_out",
+                "Values that were not recorded because the buffer was full.",
+                self._state.recording.left_out,
+            ),
+            (
+                "observer_errors",
+                "Exceptions in recorder, metrics and other observers, without which the guard went on.",
+                self._counters.get("observer_errors", 0),
+            ),
+            (
+                "log_lines_lost",
+                "Lines that were not logged because the terminal or journal was blocked.",
+                self._counters.get("log_lines_lost", 0),
+            ),
+        ):
+            yield _labeled(CounterMetricFamily, name, what, (), {(): value})
 
 
-def _gauge(name: str, what: str, value: float | None) -> Metric:
-    """Return a gauge; without a sample if the value is unknown."""
-    family = GaugeMetricFamily(name, what, labels=[])
-    if value is not None:
-        family.add_metric([], float(value))
-    return family
+def _labeled(
+    family: type[GaugeMetricFamily | CounterMetricFamily],
+    name: str,
+    what: str,
+    labels: Sequence[str],
+    values: Mapping[Any, float],
+) -> Metric:
+    """Return a metric with one sample for each tuple of label values; without a sample its value is unknown."""
+    metric = family(f"slipguard_{name}", what, labels=labels)
+    for label_values, value in values.items():
+        metric.add_metric(label_values, value)
+    return metric
 
 
 def _buckets(edges_ms: list[float], histogram: Mapping[str, Any]) -> tuple[list[tuple[str, float]], float]:

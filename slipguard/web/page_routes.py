@@ -9,11 +9,11 @@ from fastapi import FastAPI, Query, Request, Response
 from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from starlette.staticfiles import StaticFiles
 
+from slipguard.daemon.api.state import PageLink
 from slipguard.errors import CommandRefused
 from slipguard.web.access import COOKIE, LINK_VALID_S
 from slipguard.web.commands import SECURITY
 from slipguard.web.errors import error_response, error_responses, with_error_response
-from slipguard.web.models import PageLink
 from slipguard.web.route_context import RouteContext
 
 PAGE = Path(__file__).parent / "page"

@@ -10,6 +10,7 @@ from slipguard.web.access import Access
 from slipguard.web.frame_broadcast import FrameBroadcast
 from slipguard.web.images import FingerImages
 from slipguard.web.live import PERIOD_S, LiveStream
+from slipguard.web.streams import EstimateStream
 from slipguard.web.ttl_cache import TtlCache
 
 BACKGROUNDS_TTL_S = 1.0
@@ -29,6 +30,7 @@ class RouteContext:
         self.images = FingerImages(daemon)
         self.frames = {finger: FrameBroadcast(partial(daemon.frame, finger)) for finger in FINGERS}
         self.live = LiveStream(self.state.get)
+        self.estimates = EstimateStream(daemon)
 
     def invalidate(self) -> None:
         """Discard cached responses after a request, which may have changed them."""

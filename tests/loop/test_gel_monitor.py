@@ -14,7 +14,8 @@ from loop_cell import Cell
 
 from slipguard.daemon.loop import gel_monitor as gel_monitor
 from slipguard.daemon.loop.finger import ProcessedFrame
-from slipguard.daemon.loop.gel_monitor import GelMonitor, GelStatus
+from slipguard.daemon.loop.gel_condition import GelStatus
+from slipguard.daemon.loop.gel_monitor import GelMonitor
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from loop_cell import Cell, play
 from prometheus_client.parser import text_string_to_metric_families
+from slipguard.web.models import StateResponse
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api.daemon_api import FingerFrame
@@ -17,7 +18,6 @@ from slipguard.daemon.api.requests import ReleaseRequest
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused
 from slipguard.web.metrics import prometheus_text
-from slipguard.web.models import StateResponse
 
 
 def samples(text: bytes) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:

@@ -222,8 +222,7 @@ def test_one_finger_in_other_light_is_reported_and_the_other_goes_on(phase: Phas
             warnings = [event.text for event in cell.service.event_log.events if event.level == "warning"]
             assert any(f"{finger}: image unusable" in text for text in warnings), (name, warnings)
             assert f"{finger}: image unusable" in (health_problem(cell.service) or "")
-            shown: Any = snapshot(cell.service, {})
-            assert "image unusable" in shown["devices"][finger]["reason"]
+            assert "image unusable" in snapshot(cell.service, {}).devices[finger].reason
             await recover(cell)
             cell.service.event_log.events.clear()
 

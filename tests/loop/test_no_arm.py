@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from slipguard.cli.state_view import state_table
 from slipguard.config import Config, parse_config
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.snapshot import snapshot
+from slipguard.daemon.api.state import State
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
@@ -29,7 +29,7 @@ def config(tmp_path: Path) -> Config:
 
 
 def test_lift_and_lower_are_refused_and_the_state_shows_no_arm(tmp_path: Path) -> None:
-    async def main() -> dict[str, Any]:
+    async def main() -> State:
         service = build_service(
             config(tmp_path), world=World(seed=0), make_worker=lambda name: FixedLatencyWorker(0.006)
         )
@@ -37,13 +37,12 @@ def test_lift_and_lower_are_refused_and_the_state_shows_no_arm(tmp_path: Path) -
             for kind in (RequestKind.LIFT, RequestKind.LOWER):
                 with pytest.raises(CommandRefused, match=rf"cannot {kind}: there is no arm \(\[arm\] driver"):
                     await service.request(ControlRequest(kind))
-            response: dict[str, Any] = json.loads(json.dumps(snapshot(service, {})))
-            return response
+            return snapshot(service, {})
         finally:
             service.close()
 
     state = run_virtual(main())
-    assert (state["arm"], state["has_arm"]) == (None, False)
+    assert (state.arm, state.has_arm) == (None, False)
     console = Console(width=80, highlight=False, color_system=None)
     with console.capture() as capture:
         console.print(state_table(state))

@@ -219,11 +219,11 @@ def test_sighup_reads_the_file_begins_a_new_recording_and_keeps_the_configuratio
 
     async def extra_task_body(service: Any) -> None:
         await kept(130.0)
-        assert snapshot(service, {})["config_problem"] == "the file is not valid"
+        assert snapshot(service, {}).config_problem == "the file is not valid"
         os.kill(os.getpid(), signal.SIGHUP)
         await reloaded.wait()
         await kept(110.0)
-        assert snapshot(service, {})["config_problem"] is None
+        assert snapshot(service, {}).config_problem is None
         os.kill(os.getpid(), signal.SIGTERM)
         await asyncio.sleep(60.0)
 

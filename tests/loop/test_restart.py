@@ -89,7 +89,7 @@ def test_after_a_restart_in_the_air_the_unknown_is_unknown_and_the_object_is_low
         await until(lambda: rig.service.ready_to_lift)
         assert rig.service.state.grip.target_n == held_n
         shown = snapshot(rig.service, {})
-        assert shown["lifted_mm"] == pytest.approx(rig.truth.height_mm, abs=0.1)
+        assert shown.lifted_mm == pytest.approx(rig.truth.height_mm, abs=0.1)
         assert rig.truth.height_mm >= height_mm
         await asyncio.sleep(0.5)
         await rig.handlers.submit(LowerRequest())

@@ -42,7 +42,7 @@ async def stopped(cell: Cell) -> None:
     await asyncio.sleep(5.0)
     assert cell.truth.height_mm == pytest.approx(height_mm, abs=0.01)
     assert cell.truth.applied_n >= force_n
-    assert cell.handlers.snapshot()["stopped_by_request"] is True
+    assert cell.handlers.snapshot().stopped_by_request is True
 
 
 def test_it_ends_a_lift_and_a_lowering_and_both_go_on_from_there() -> None:
@@ -53,7 +53,7 @@ def test_it_ends_a_lift_and_a_lowering_and_both_go_on_from_there() -> None:
         await stopped(cell)
         assert cell.phase is Phase.HOLDING
         await cell.submit(LowerRequest())
-        assert cell.handlers.snapshot()["stopped_by_request"] is False
+        assert cell.handlers.snapshot().stopped_by_request is False
         await cell.until(lambda: cell.truth.height_mm < 25.0)
         await stopped(cell)
         await cell.submit(LiftRequest(height_mm=20.0))
@@ -75,7 +75,7 @@ def test_it_pauses_the_program_that_moves_the_arm_in_guard_mode() -> None:
         cell.world.command_lift(cell.now_s, 20.0, 40.0)  # started again, by a person at the robot
         await asyncio.sleep(1.0)
         assert cell.truth.height_mm > 30.0
-        assert cell.handlers.snapshot()["stopped_by_request"] is False
+        assert cell.handlers.snapshot().stopped_by_request is False
 
     play(Cell("bar", 3, guard={"mode": "guard", "stop_on_slip": False}), scene)
 

@@ -6,14 +6,16 @@ import asyncio
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager, closing
-from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from slipguard.control.finger_fusion import FusedEstimate
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.daemon.api.handlers import calibration_response
 from slipguard.daemon.api.requests import CalibrateRequest, DaemonRequest
+from slipguard.daemon.api.state import Limits, RecordingState, RoundTrips, State
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.devices import FINGERS, Frame, GripperState
@@ -24,6 +26,40 @@ from slipguard.web.serve import serve
 from slipguard.web.sockets import bind, bind_tcp
 
 TOKEN = "f" * 64
+
+
+def holding_state(**changed: Any) -> State:
+    """Return the state of a cell that holds an object with 40 N, with these fields changed."""
+    fields: dict[str, Any] = {
+        "version": "0.1.0",
+        "now_s": 12.5,
+        "mode": "lift",
+        "config_problem": None,
+        "phase": "holding",
+        "guarding": True,
+        "slipping": False,
+        "putting_down": False,
+        "stopped_by_request": False,
+        "target_force_n": 40.0,
+        "limits": Limits(first_force_n=40.0, force_max_n=130.0, rotation_max_deg=45.0, lift_height_mm=100.0),
+        "no_rotation_reason": None,
+        "fault": None,
+        "rotation": FusedEstimate(True, True, 12.4, 12.4, FINGERS, 1.5, 0.25, newest_at_s=12.4),
+        "gripper": GripperState(True, False, True, False, 60.0, 40.25, None, 12.4),
+        "arm": None,
+        "has_arm": True,
+        "lifted_mm": None,
+        "fingers": {},
+        "devices": {},
+        "round_trips": RoundTrips(gripper=None, arm=None),
+        "latency": None,
+        "waiting_for": [],
+        "deadlines_missed": 0,
+        "events": [Event(1.0, "info", "gripped")],
+        "last_slip": None,
+        "recording": RecordingState(),
+    }
+    return State.model_validate(fields | changed)
 
 
 class FakeDaemonApi(DaemonApi):
@@ -39,32 +75,16 @@ class FakeDaemonApi(DaemonApi):
         self.started = asyncio.Event()
         self.subscribers: list[Callable[[Event], None]] = []
         self.events: list[Event] = [Event(1.0, "info", "gripped")]
+        self.present = holding_state()
+        self.estimate_subscribers: list[Callable[[bytes], None]] = []
 
-    def snapshot(self) -> dict[str, object]:
-        return {
-            "version": "0.1.0",
-            "now_s": 12.5,
-            "phase": "holding",
-            "mode": "lift",
-            "guarding": True,
-            "slipping": False,
-            "stopped_by_request": False,
-            "target_force_n": 40.0,
-            "fault": None,
-            "rotation": {"rotation_deg": 1.5, "sigma_deg": 0.25},
-            "gripper": asdict(GripperState(True, False, True, False, 60.0, 40.25, None, 12.4)),
-            "arm": None,
-            "has_arm": True,
-            "fingers": {},
-            "devices": {},
-            "waiting_for": [],
-            "deadlines_missed": 0,
-            "events": [{"at_s": 1.0, "level": "info", "text": "gripped"}],
-        }
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state as the API shows it."""
+        return self.present.model_dump(mode="json")
 
     async def state(self) -> bytes:
         self.state_calls += 1
-        return json.dumps(self.snapshot()).encode()
+        return self.present.model_dump_json().encode()
 
     async def health_problem(self) -> str | None:
         return self.problem
@@ -124,6 +144,10 @@ class FakeDaemonApi(DaemonApi):
             on_event(event)
         self.subscribers.append(on_event)
         return lambda: self.subscribers.remove(on_event)
+
+    def subscribe_estimates(self, on_estimates: Callable[[bytes], None]) -> Callable[[], None]:
+        self.estimate_subscribers.append(on_estimates)
+        return lambda: self.estimate_subscribers.remove(on_estimates)
 
 
 @asynccontextmanager

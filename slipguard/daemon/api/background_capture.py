@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import CalibrateRequest, RestoreBackgroundRequest
+from slipguard.daemon.api.state import StoredBackgrounds
 from slipguard.daemon.loop.finger import Finger
 from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.background_images import (
@@ -106,13 +107,15 @@ class BackgroundCapture:
                 return why
         return None
 
-    async def versions(self) -> dict[str, dict[str, object]]:
-        """Return by finger `serial` (None: not opened yet) and its stored `versions`, oldest first."""
-        found: dict[str, dict[str, object]] = {}
-        for name, finger in self._service.fingers.items():
-            versions = [] if finger.serial is None else await self._stored_versions(finger.serial)
-            found[name] = {"serial": finger.serial, "versions": [version.as_dict() for version in versions]}
-        return found
+    async def versions(self) -> dict[str, StoredBackgrounds]:
+        """Return the stored images of each finger's sensor."""
+        return {
+            name: StoredBackgrounds(
+                serial=finger.serial,
+                versions=[] if finger.serial is None else await self._stored_versions(finger.serial),
+            )
+            for name, finger in self._service.fingers.items()
+        }
 
     async def find(self, finger: Finger, number: int | None) -> tuple[str, int, BackgroundImage]:
         """Return serial number, number and a stored background image. number: None for the newest.
@@ -137,7 +140,7 @@ class BackgroundCapture:
             raise CommandRefused(f"{serial}: background image{asked} not found; stored numbers: {known}")
         return serial, chosen, found
 
-    async def _stored_versions(self, serial: str) -> Sequence[BackgroundVersion]:
+    async def _stored_versions(self, serial: str) -> list[BackgroundVersion]:
         read = self._service.store.background_versions
         return await asyncio.get_running_loop().run_in_executor(self._disk_thread, read, serial)
 

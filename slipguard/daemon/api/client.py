@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import httpx
+from websockets.exceptions import InvalidStatus, WebSocketException
+from websockets.sync.client import ClientConnection, connect, unix_connect
 
 from slipguard.daemon.api.paths import running_socket
 from slipguard.daemon.api.requests import DaemonRequest
+from slipguard.daemon.api.state import NewEstimates
 from slipguard.errors import CommandRefused, InputError, SlipguardError
 
 TIMEOUT_S = 5.0
@@ -48,6 +52,38 @@ class TcpAddress:
             raise InputError(f"{self.url!r} is not a daemon address; use the form http://127.0.0.1:8470")
 
 
+class EstimateStream:
+    """Yields `NewEstimates` until the daemon ends or `close` is called, which any thread may do.
+
+    A program that reads too slowly misses the oldest estimates: then `number` has a gap.
+    """
+
+    def __init__(self, connection: ClientConnection, address: str) -> None:
+        self._connection, self._address, self._closed = connection, address, False
+
+    def __iter__(self) -> Iterator[NewEstimates]:
+        """Yield each message. Raises SlipguardError when the daemon ends the stream."""
+        while True:
+            try:
+                message = self._connection.recv()
+            except WebSocketException as error:
+                if self._closed:
+                    return
+                raise SlipguardError(f"the daemon at {self._address} ended the stream: {error}") from None
+            yield NewEstimates.model_validate_json(message)
+
+    def __enter__(self) -> EstimateStream:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the stream."""
+        self._closed = True
+        self._connection.close()
+
+
 class Client:
     """A connection to one daemon.
 
@@ -62,10 +98,14 @@ class Client:
         address = running_socket() if address is None else address
         self._timeout_s = timeout_s
         self._unix: Path | None = None
+        self._authorization: dict[str, str] = {}
         if isinstance(address, TcpAddress):
             self._shown = address.url
-            headers = {} if address.token is None else {"authorization": f"Bearer {address.token}"}
-            self._http = httpx.Client(base_url=address.url, headers=headers, timeout=timeout_s, trust_env=False)
+            if address.token is not None:
+                self._authorization = {"authorization": f"Bearer {address.token}"}
+            self._http = httpx.Client(
+                base_url=address.url, headers=self._authorization, timeout=timeout_s, trust_env=False
+            )
         else:
             self._shown, self._unix = str(address), address
             transport = httpx.HTTPTransport(uds=str(address))
@@ -106,6 +146,10 @@ class Client:
         """Return the newest frame of `left` or `right`."""
         return self._image(f"/frame/{finger}")
 
+    def estimates(self) -> EstimateStream:
+        """Open the stream of estimates: every new estimate as soon as the control loop has used it."""
+        return EstimateStream(self._open_stream("/estimates"), self._shown)
+
     def backgrounds(self) -> dict[str, Any]:
         """Return the list of stored background images, by finger."""
         return self._json("GET", "/background")
@@ -113,6 +157,19 @@ class Client:
     def background(self, finger: str, number: int | None = None) -> SensorFrame:
         """Return a stored background image of `left` or `right`, by default the newest; `sequence` is its number."""
         return self._image(f"/background/{finger}" + ("" if number is None else f"?number={number}"))
+
+    def _open_stream(self, path: str) -> ClientConnection:
+        self._check_listening()
+        try:
+            if self._unix is not None:
+                return unix_connect(str(self._unix), f"ws://slipguard{path}", compression=None).__enter__()
+            url = self._http.base_url.copy_with(scheme="ws", path=path)
+            return connect(str(url), additional_headers=self._authorization, compression=None, proxy=None).__enter__()
+        except InvalidStatus as refused:
+            reason = refused.response.body.decode(errors="replace") or f"HTTP {refused.response.status_code}"
+            raise SlipguardError(f"the daemon at {self._shown} refused {path}: {reason}") from None
+        except (OSError, WebSocketException) as error:
+            raise DaemonNotRunning(f"{NO_DAEMON.format(self._shown)} ({error})") from None
 
     def _image(self, path: str) -> SensorFrame:
         response = self._response("GET", path)

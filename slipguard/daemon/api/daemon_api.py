@@ -52,7 +52,7 @@ class DaemonApi(Protocol):
 
     @abstractmethod
     async def state(self) -> bytes:
-        """Return the complete state as a JSON object; see `slipguard.daemon.api.snapshot`."""
+        """Return the complete state as a JSON object; see `slipguard.daemon.api.state.State`."""
 
     @abstractmethod
     async def health_problem(self) -> str | None:
@@ -91,3 +91,7 @@ class DaemonApi(Protocol):
     @abstractmethod
     def subscribe(self, on_event: Callable[[Event], None]) -> Callable[[], None]:
         """Pass the newest events to `on_event`, oldest first, then each new one; return a function that ends this."""
+
+    @abstractmethod
+    def subscribe_estimates(self, on_estimates: Callable[[bytes], None]) -> Callable[[], None]:
+        """Pass each `slipguard.daemon.api.state.NewEstimates`, as JSON, to `on_estimates`; return what ends this."""

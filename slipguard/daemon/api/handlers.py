@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import json
 from collections.abc import AsyncIterator, Callable, Mapping
 from functools import partial
+
+from pydantic_core import to_json
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.daemon.api.background_capture import BackgroundCapture
@@ -23,6 +26,8 @@ from slipguard.daemon.api.requests import (
     RestoreBackgroundRequest,
 )
 from slipguard.daemon.api.snapshot import health_problem, snapshot
+from slipguard.daemon.api.state import NewEstimates, RecordingState, State
+from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.event_log import Event
 from slipguard.daemon.loop.finger import Finger, ProcessedFrame
 from slipguard.daemon.loop.gel_monitor import GelMonitor
@@ -54,23 +59,23 @@ class RequestHandlers(DaemonApi):
             finger.observers.append(partial(self._processed.__setitem__, name))
 
     async def state(self) -> bytes:
-        return json.dumps(self.snapshot()).encode()
+        return self.snapshot().model_dump_json().encode()
 
-    def snapshot(self) -> dict[str, object]:
+    def snapshot(self) -> State:
         """Return the complete state; does not wait."""
         gels = {} if self._gels is None else self._gels.conditions
-        return snapshot(self._service, gels) | {"recording": self._recording_state()}
+        return snapshot(self._service, gels, self._recording_state())
 
     def watch_recorder(self, recorder: Recorder) -> None:
         """Let the state report on this recorder from now on."""
         self._recorder = recorder
 
-    def _recording_state(self) -> dict[str, object]:
+    def _recording_state(self) -> RecordingState:
         recorder = self._recorder
         if recorder is None or not self._service.config.recording.enabled:
-            return {"state": "off", "why": None, "left_out": 0}
+            return RecordingState()
         why = recorder.stopped or ("the recorder thread has ended; restart the daemon" if recorder.dead else None)
-        return {"state": "on" if why is None else "stopped", "why": why, "left_out": recorder.left_out}
+        return RecordingState(state="on" if why is None else "stopped", why=why, left_out=recorder.left_out)
 
     async def health_problem(self) -> str | None:
         return health_problem(self._service)
@@ -171,7 +176,7 @@ class RequestHandlers(DaemonApi):
         return await self._capture.calibrate(request)
 
     async def backgrounds(self) -> bytes:
-        return json.dumps(await self._capture.versions()).encode()
+        return to_json(await self._capture.versions())
 
     async def background(self, finger: str, number: int | None = None) -> FingerFrame:
         serial, found, stored = await self._capture.find(self._finger(finger), number)
@@ -183,6 +188,22 @@ class RequestHandlers(DaemonApi):
             on_event(event)
         event_log.listeners.append(on_event)
         return lambda: event_log.listeners.remove(on_event)
+
+    def subscribe_estimates(self, on_estimates: Callable[[bytes], None]) -> Callable[[], None]:
+        numbers = itertools.count()
+
+        def add_decision(decision: Decision) -> None:
+            if decision.new_estimates:
+                new = NewEstimates(
+                    number=next(numbers),
+                    at_s=decision.now_s,
+                    rotation=decision.observation.fused,
+                    fingers=dict(decision.new_estimates),
+                )
+                on_estimates(new.model_dump_json().encode())
+
+        self._service.observers.append(add_decision)
+        return lambda: self._service.observers.remove(add_decision)
 
 
 @contextlib.asynccontextmanager

@@ -65,10 +65,6 @@ class Health:
     def _without_name(self, reason: str) -> str:
         return reason.removeprefix(f"{self.name}: ")
 
-    def as_dict(self) -> dict[str, object]:
-        """Return the health as the API shows it."""
-        return {"state": self.state, "reason": self.reason or None, "last_ready_at_s": self.last_ready_at_s}
-
 
 class HasHealth(Protocol):
     """A finger or an actuator."""

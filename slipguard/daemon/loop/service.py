@@ -11,6 +11,7 @@ import asyncio
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import structlog
 
@@ -42,7 +43,7 @@ from slipguard.daemon.loop.capture import StreamRestarts
 from slipguard.daemon.loop.decision import Decision, LatencyStats
 from slipguard.daemon.loop.device_health import DeviceAlerts, find_problems
 from slipguard.daemon.loop.driver_values import checked_arm_state, checked_gripper_state
-from slipguard.daemon.loop.event_log import EventLog
+from slipguard.daemon.loop.event_log import EventKind, EventLog
 from slipguard.daemon.loop.finger import Finger, PerceptionPipeline, TimedEstimate
 from slipguard.daemon.loop.observers import Observers
 from slipguard.daemon.loop.request_queue import RequestQueue
@@ -55,6 +56,8 @@ from slipguard.perception.estimate import Estimate
 BUSY_WINDOW_S = 1.0
 BUSY_S = 0.05
 """A loop that was late for this long may have read a response too late; a gripper has 50 ms to respond."""
+SLIP_MESSAGES = ("tightening", "at_force_limit")
+"""Messages of the controller (`slipguard.control.reports.Text`) about slip."""
 
 Controller = Callable[[ControlState, Observation, GuardParams], tuple[ControlState, StepOutput]]
 log = structlog.get_logger()
@@ -126,7 +129,9 @@ class Service:
         self._requests = RequestQueue()
         self._used: dict[str, TimedEstimate | None] = dict.fromkeys(FINGERS)
         self._last_fault: Fault | None = None
-        self._device_alerts = DeviceAlerts(self.event_log.info, self.event_log.warning)
+        self._device_alerts = DeviceAlerts(
+            partial(self.event_log.info, kind="device"), partial(self.event_log.warning, kind="device")
+        )
 
     @property
     def state(self) -> GraspState:
@@ -337,7 +342,8 @@ class Service:
         now_s, done_s = self.observation.now_s, asyncio.get_running_loop().time()
         latencies_s = tuple(done_s - one.received_at_s for one in new.values())
         if output.text is not None:
-            (self.event_log.warning if output.is_warning else self.event_log.info)(output.text)
+            kind: EventKind = "slip" if any(one.name in SLIP_MESSAGES for one in output.messages) else "grasp"
+            (self.event_log.warning if output.is_warning else self.event_log.info)(output.text, kind)
         if output.fault is not None and output.fault != self._last_fault:
             self.event_log.fault(output.fault.code.value, output.fault.observed, output.fault.what_to_do)
         self._last_fault = output.fault

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Protocol
 
@@ -49,10 +49,6 @@ class BackgroundVersion:
     new_gel: bool
     copy_of: int | None
 
-    def as_dict(self) -> dict[str, object]:
-        """Return the version as JSON; the time as ISO 8601."""
-        return asdict(self) | {"created_at": self.created_at.isoformat()}
-
 
 class BackgroundStore(Protocol):
     """Where background images are kept, by serial number; see `slipguard.daemon.store.state_dir`."""
@@ -65,7 +61,7 @@ class BackgroundStore(Protocol):
 
     def restore_background(self, serial: str, number: int) -> None: ...
 
-    def background_versions(self, serial: str) -> Sequence[BackgroundVersion]: ...
+    def background_versions(self, serial: str) -> list[BackgroundVersion]: ...
 
 
 def average_background(images: Sequence[NDArray[np.uint8]], finger: str) -> BackgroundImage:

@@ -11,10 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fake_daemon_api import holding_state
 from pydantic import BaseModel
 
 from slipguard import registry
 from slipguard.config import Config, sim_config
+from slipguard.daemon.api.state import FingerState
+from slipguard.daemon.loop.capture import FrameCounts
+from slipguard.daemon.loop.device_health import Health
+from slipguard.daemon.loop.gel_condition import GelCondition, GelStatus
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
@@ -22,6 +27,7 @@ from slipguard.devices import DriverContext, GripperState
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, problem, problem_from_error
 from slipguard.doctor import gripper, machine, run_checks, sensor, through_daemon
 from slipguard.errors import DeviceLost
+from slipguard.perception.gel_wear import GelChange
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.world import World
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
@@ -264,9 +270,19 @@ async def test_a_check_that_does_not_end_is_cancelled(monkeypatch: pytest.Monkey
     assert (found.check, found.status) == ("check", CheckStatus.PROBLEM)
 
 
-@pytest.mark.parametrize("known", ["ok", "drifted", "marked", "worn"])
-def test_a_gel_that_has_changed_is_a_note_with_what_to_do(known: str) -> None:
-    response = {"status": known, "observed": "2 lasting marks", "action": "" if known == "ok" else "clean the gel"}
-    found = through_daemon.check_gel(response)
-    assert (found.check, found.observed, found.action) == ("gel", response["observed"], response["action"])
-    assert found.status is (CheckStatus.OK if known == "ok" else CheckStatus.NOTE)
+@pytest.mark.parametrize(("gel", "status"), [(GelStatus.OK, CheckStatus.OK), (GelStatus.WORN, CheckStatus.NOTE)])
+def test_a_gel_that_has_changed_is_a_note_with_what_to_do(gel: GelStatus, status: CheckStatus) -> None:
+    unchanged = GelChange((0.0, 0.0, 0.0), 0.0, (), 0)
+    finger = FingerState(
+        serial="D20479",
+        estimate=None,
+        frames_per_s=60.0,
+        age_s=0.02,
+        counts=FrameCounts(frames=100),
+        remarks=[],
+        gel=GelCondition(gel, unchanged, unchanged, 0.4, "2 lasting marks", "clean the gel"),
+    )
+    now = holding_state(fingers={"left": finger}, devices={"left": Health("left", "ready", "")})
+    before = holding_state(fingers={"left": finger.model_copy(update={"counts": FrameCounts()})})
+    *_, found = through_daemon.check_finger("left", through_daemon.DaemonSamples(before, now, 2.0), None)
+    assert (found.check, found.observed, found.status) == ("gel", "2 lasting marks", status)

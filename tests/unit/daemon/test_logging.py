@@ -17,7 +17,7 @@ from slipguard.daemon import log_setup
 from slipguard.daemon.journal import VALUE_MAX, JournalOutput
 from slipguard.daemon.log_setup import configure, flush, set_level
 from slipguard.daemon.loop import event_log as event_log_module
-from slipguard.daemon.loop.event_log import KINDS_MAX, EventLog, OncePerSecond
+from slipguard.daemon.loop.event_log import KINDS_MAX, Event, EventLog, RepetitionLimit
 
 
 @pytest.fixture(autouse=True)
@@ -88,7 +88,7 @@ def test_a_failing_stream_is_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     structlog.get_logger().info("to a closed stream")
 
 
-def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
+def test_similar_messages_are_logged_at_most_once_a_minute_and_steps_of_a_grasp_once_per_second(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     stream, delivered, now_s = io.StringIO(), list[str](), 0.0
@@ -97,21 +97,24 @@ def test_similar_messages_are_logged_once_per_second_and_listeners_get_all(
     configure()
     event_log = EventLog()
     event_log.listeners.append(lambda event: delivered.append(event.line))
-    for cycle in range(250):
-        now_s = cycle * 0.01
-        event_log.warning(f"left: its newest frame is {cycle}.5 ms old")
-        if cycle == 100:
-            event_log.info("something else")
+    for cycle in range(1300):
+        now_s = cycle * 0.1
+        event_log.warning(f"left: its newest frame is {cycle}.5 ms old", "device")
+        if cycle < 15:
+            event_log.info(f"slip of {cycle}°: tightening", "slip")
     assert flush(30.0)
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [line["event"] for line in lines] == [
         "left: its newest frame is 0.5 ms old",
-        "left: its newest frame is 100.5 ms old",
-        "something else",
-        "left: its newest frame is 200.5 ms old",
+        "slip of 0°: tightening",
+        "slip of 10°: tightening",
+        "left: its newest frame is 600.5 ms old",
+        "left: its newest frame is 1200.5 ms old",
     ]
-    assert lines[1]["similar_held_back"] == 99
-    assert len(delivered) == 251
+    assert lines[3]["similar_held_back"] == 599
+    assert len(delivered) == 1315
+    assert event_log.last_slip is not None
+    assert event_log.last_slip.text == "slip of 14°: tightening"
 
 
 def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,10 +129,10 @@ def test_faults_are_never_held_back(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_memory_of_message_kinds_is_bounded() -> None:
-    limit = OncePerSecond()
+    limit = RepetitionLimit()
     for number in range(20 * KINDS_MAX):
         kind = "".join(chr(ord("a") + int(digit)) for digit in str(number))
-        assert limit.admit(kind, number * 0.1) == 0
+        assert limit.admit(Event(number * 0.1, "info", kind)) == 0
     assert len(limit._until_s) <= KINDS_MAX
     assert limit._held_back == {}
 

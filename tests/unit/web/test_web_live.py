@@ -17,7 +17,7 @@ from websockets.asyncio.client import connect
 from slipguard.daemon.loop.event_log import KEPT, Event
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.errors import SlipguardError
-from slipguard.web import live as live_module
+from slipguard.web import streams
 from slipguard.web.daemon_proxy import DaemonInternalError
 from slipguard.web.live import HISTORY_SAMPLES, LiveStream
 
@@ -94,7 +94,7 @@ def test_history_then_events_then_states_at_ten_a_second() -> None:
 
 def test_a_slow_client_misses_messages_and_delays_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     slow, quick = Client(), Client()
-    monkeypatch.setattr(live_module, "SEND_TIMEOUT_S", 60.0)
+    monkeypatch.setattr(streams, "SEND_TIMEOUT_S", 60.0)
 
     async def scene(live: LiveStream) -> None:
         serving = [asyncio.create_task(live.serve(one)) for one in (slow, quick)]  # type: ignore[arg-type]
@@ -124,7 +124,7 @@ def test_a_client_that_receives_nothing_is_disconnected() -> None:
     async def scene(live: LiveStream) -> None:
         stuck.taking.clear()
         await live.serve(stuck)  # type: ignore[arg-type]
-        assert not live._clients
+        assert not live._outboxes
 
     played(FakeDaemonApi(), scene)
     assert stuck.got == []
@@ -205,6 +205,7 @@ async def test_over_a_real_socket_messages_of_clients_are_ignored(tmp_path: Path
             "text": "a line",
             "what_to_do": None,
             "code": None,
+            "kind": "system",
         }
     assert daemon.requests == []
     assert daemon.subscribers == []
