@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from loop_cell import Cell, play
 from prometheus_client.parser import text_string_to_metric_families
-from slipguard.web.models import StateResponse
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api.daemon_api import FingerFrame
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import ReleaseRequest
+from slipguard.daemon.api.state import State
 from slipguard.daemon.loop.event_log import Event
 from slipguard.errors import CommandRefused
 from slipguard.web.metrics import prometheus_text
@@ -58,7 +58,7 @@ def test_a_grasp_and_a_fault_as_the_page_and_prometheus_see_them() -> None:
         reported["faulty"] = prometheus_text(await handlers.state(), await handlers.counters())
 
     play(Cell("wrench", 1), scene)
-    StateResponse.model_validate_json(reported["state"])
+    State.model_validate_json(reported["state"])
     view: FingerFrame = reported["view"]
     assert view.serial == "SIM-L"
     assert view.frame.image.shape == (320, 240, 3)
