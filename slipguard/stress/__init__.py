@@ -1,1 +1,1 @@
-"""Tests of numerical stability from a gel frame to the object's rotation: families of trials, and their runner."""
+"""Tests of numerical stability: a table of perturbations, applied to the same grasps."""

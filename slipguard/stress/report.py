@@ -1,208 +1,83 @@
-"""Report of a stress run: a table, a JSON object, and a plot of errors against noise."""
+"""Table and plot of a stress run."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Table
 
-from slipguard.stress.axis_families import ASPECT
-from slipguard.stress.drift_families import DRIFT, HOLDING
-from slipguard.stress.runner import StressOutcome, full_hours
-from slipguard.stress.trial_family import FailureKind, FamilyResults, TrialFailure, TrialFamily
+from slipguard.stress.perturbations import PERTURBATIONS
+from slipguard.stress.run import KINDS, PerturbationFigures, StressRun
 from slipguard.tools import plotting
+from slipguard.tools.figures import Figures, figure_table, text
 
 PLOT = "error-against-noise.png"
 SHOWN_FAILURES = 10
-SUMMARY = ("tried", "share", "crashes", "nan", "confident_wrong", "worst", "drift_deg", "broken_at")
-"""Keys of `as_json` that `--json` prints; `stress.json` in the --out folder contains all of them."""
-PANELS = (
-    ("outline", "contour error in network pixels (1 sd)"),
-    ("frame noise", "camera noise in gray levels (1 sd), with the network"),
-    ("relief noise", "camera noise in gray levels (1 sd), texture only"),
-    ("relief fall", "acceleration of a toothed object in degrees/s2"),
-    ("aspect, outline 0 px", "aspect ratio, no contour error"),
-    ("aspect, outline 0.2 px", "aspect ratio, contour error 0.2 px"),
-    ("aspect, outline 0.4 px", "aspect ratio, contour error 0.4 px"),
-)
-COLORS = {"moments": "C0", "ellipse": "C1", "pca": "C2", "skeleton": "C3", "pipeline": "black"}
+STRENGTH = "strength"
+HEADS = ("perturbation", "tried", "esti-\nmated", "crash", "NaN", "wrong", "limit", "worst\n°", "worst\nσ")
 
 
-def summary(outcome: StressOutcome) -> dict[str, Any]:
-    """Return the object that `--json` prints: the keys of `SUMMARY`."""
-    whole = as_json(outcome)
-    return {key: whole[key] for key in SUMMARY}
-
-
-def as_json(outcome: StressOutcome) -> dict[str, Any]:
-    """Return all results; errors in degrees, values that were not measured are null.
-
-    share: of the full list, by estimated time. worst: the largest error in each family, regardless of its sigma.
-    broken_at: the smallest size of each swept effect at which an estimate was off by more than 4 sigma.
-    """
-    total_h = full_hours(outcome.families)
-    return {
-        "tried": sum(results.tried for results in outcome.results),
-        "share": _rounded(_done_hours(outcome) / total_h),
-        "crashes": _count(outcome, "crash"),
-        "nan": _count(outcome, "nan"),
-        "confident_wrong": _count(outcome, "confident wrong"),
-        "broken_promises": _count(outcome, "limit") + len(outcome.rarely_answering),
-        "worst": {
-            results.family: _rounded(max(results.worst_deg.values(), default=0.0)) for results in outcome.results
-        },
-        "drift_deg": _largest(outcome, DRIFT),
-        "holding_drift_deg": _largest(outcome, HOLDING),
-        "aspect_1_2_error_deg": _largest(outcome, ASPECT),
-        "broken_at": {effect: _rounded(level) for effect, level in _broken(outcome)},
-        "seed": outcome.seed,
-        "spent_s": round(outcome.spent_s, 2),
-        "full_hours": _rounded(total_h),
-        "families": {family.name: _family_as_json(family, results) for family, results in _pairs(outcome)},
-        "failures": [
-            {"family": one.family, "kind": one.kind, "seed": one.seed, "what": one.what, "again": command_for(one)}
-            for one in first_failures(outcome)
-        ],
-    }
-
-
-def _family_as_json(family: TrialFamily, results: FamilyResults) -> dict[str, Any]:
-    return {
-        "tried": results.tried,
-        "full": family.full * family.frames,
-        "least_told": family.min_answered_share,
-        "answers": results.estimated,
-        "declined": results.declined,
-        "failures": {kind: count for kind, count in results.counts.items() if count},
-        "worst_deg": {label: _rounded(value) for label, value in results.worst_deg.items()},
-        "worst_sigmas": {label: _rounded(value) for label, value in results.worst_sigmas.items()},
-        "promises": {what: _rounded(value) for what, value in results.largest.items()},
-        "broken_at": {effect: _rounded(level) for effect, level in sorted(results.broken_at.items())},
-    }
-
-
-def first_failures(outcome: StressOutcome) -> list[TrialFailure]:
-    """Return the first failure of each kind in each family, and the families with too many declined estimates."""
-    firsts = [*outcome.rarely_answering]
-    for results in outcome.results:
-        firsts += {one.kind: one for one in reversed(results.failures)}.values()
-    return firsts
-
-
-def command_for(failure: TrialFailure) -> str:
-    """Return the command that reproduces a failure."""
-    return f"slipguard stress --only {failure.family} --seed {failure.seed}"
-
-
-def print_table(console: Console, outcome: StressOutcome) -> None:
-    """Print one row for each family, the largest values with a specified limit, and the failures."""
-    table = Table(title=f"Stress, seed {outcome.seed}", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for name in ("family", "tried", "of list", "estimated", "crash", "NaN", "wrong", "limits", "worst", "sigmas"):
-        table.add_column(name, justify="left" if name == "family" else "right", no_wrap=True)
-    for family, results in _pairs(outcome):
-        limits = results.counts["limit"] + sum(one.family == family.name for one in outcome.rarely_answering)
-        counts = [results.counts[kind] for kind in ("crash", "nan", "confident wrong")]
-        worst, sigmas = max(results.worst_deg.values(), default=None), max(results.worst_sigmas.values(), default=None)
-        possible = results.estimated + results.declined
-        table.add_row(
-            family.name,
-            str(results.tried),
-            f"{100.0 * results.tried / (family.full * family.frames):.3g}%",
-            f"{100.0 * results.estimated / possible:.0f}%" if possible else "",
-            *(_colored(count) for count in (*counts, limits)),
-            "" if worst is None else f"{worst:.1f}°",
-            "" if sigmas is None else f"{sigmas:.1f}",
-        )
-    console.print(table)
+def print_table(console: Console, found: StressRun) -> None:
+    """Print one row for each perturbation, where the sweeps break, and the failures."""
     console.print(
-        "estimated: share not declined; wrong: pipeline above 4 sigma; limits: values above a limit below, or too "
-        "few estimates; worst, sigmas: largest error, and largest error in units of its sigma",
+        figure_table(HEADS, [_cells(one) for one in found.perturbations.values()], f"Stress, seed {found.seed}")
+    )
+    console.print(
+        "estimated: share not declined; wrong: confident beyond 4 sigma; limit: drift, invalid sigma, or too few "
+        "estimates; worst: largest error, and largest error over its sigma",
         style="dim",
     )
-    for results in outcome.results:
-        for what, value in results.largest.items():
-            console.print(f"{what}: at most {value:.3g}")
-    hours = full_hours(outcome.families)
-    console.print(
-        f"{sum(results.tried for results in outcome.results):,} trials in {outcome.spent_s:.0f} s: "
-        f"{100.0 * _done_hours(outcome) / hours:.3g} % of the full list, which takes about {hours:.2g} h on one core "
-        "(the campaign stress-list)"
-    )
-    for effect, level in _broken(outcome):
-        console.print(f"{effect}: an estimate is off by more than 4 sigma from size {level:g} on", highlight=False)
-    firsts = first_failures(outcome)
-    for one in firsts[:SHOWN_FAILURES]:
-        console.print(f"[red]{one.kind}[/] in {one.family}: {one.what}", highlight=False)
-        console.print(f"    reproduce: {command_for(one)}", highlight=False)
-    if len(firsts) > SHOWN_FAILURES:
-        console.print(f"… and {len(firsts) - SHOWN_FAILURES} more; --out lists them")
+    console.print(f"{found.tried:,} trials in {found.spent_s:.0f} s: {100.0 * found.share:.3g} % of the full list")
+    for name, level in found.broken_at.items():
+        console.print(f"{name}: an estimate is off by more than 4 sigma from size {level:g} on", highlight=False)
+    for failure in found.first_failures[:SHOWN_FAILURES]:
+        console.print(f"[red]{failure.kind}[/] in {failure.name}: {failure.what}", highlight=False)
+        console.print(f"    reproduce: {failure.command}", highlight=False)
+    if len(found.first_failures) > SHOWN_FAILURES:
+        console.print(f"… and {len(found.first_failures) - SHOWN_FAILURES} more; --out lists them")
 
 
-def draw(outcome: StressOutcome, path: Path) -> None:
-    """Plot errors against noise into an image file. Raises InputError if it cannot be written."""
-    curves = {name: levels for results in outcome.results for name, levels in results.curves.items()}
+def _cells(one: PerturbationFigures) -> list[str]:
+    possible = one.estimated + one.declined
+    counts = [one.count(kind) for kind in KINDS]
+    return [
+        one.name,
+        str(len(one.trials)),
+        f"{100.0 * one.estimated / possible:.0f}%" if possible else "–",
+        *(f"[red]{count:,}[/]" if count else "0" for count in counts),
+        text(one.worst_deg, "{:.1f}"),
+        text(one.worst_sigmas, "{:.1f}"),
+    ]
+
+
+def draw(found: StressRun, path: Path) -> None:
+    """Plot errors against the levels of each perturbation. Raises InputError if the file cannot be written."""
+    ran = {name: one for name, one in found.perturbations.items() if PERTURBATIONS[name].unit}
+    panels = [[name] for name in ran if PERTURBATIONS[name].unit != STRENGTH]
+    distortions = [name for name in ran if PERTURBATIONS[name].unit == STRENGTH]
+    panels += [distortions] if distortions else []
     figure = plotting.figure(18.0, 9.0)
-    grid = figure.subplots(2, 4)
-    for axes, (sweep, label) in zip(grid.flat, PANELS, strict=False):
-        declined_axes = axes.twinx()
-        for estimator, color in COLORS.items():
-            points = sorted(curves.get(f"{sweep}/{estimator}", {}).items())
-            if not points:
-                continue
-            shares = [100.0 * p.declined / max(p.declined + len(p.errors_deg), 1) for _, p in points]
-            declined_axes.plot([level for level, _ in points], shares, ":", color=color, linewidth=0.8)
-            known = [(level, point.errors_deg) for level, point in points if point.errors_deg]
-            levels = [level for level, _ in known]
-            width = 2.2 if estimator == "pipeline" else 1.2
-            axes.plot(levels, [np.mean(errors) for _, errors in known], "-o", color=color, markersize=3,
-                      linewidth=width, label=estimator)  # fmt: skip
-            axes.plot(levels, [np.percentile(errors, 95) for _, errors in known], "--", color=color, linewidth=0.8)
+    grid = figure.subplots(2, -(-max(len(panels), 2) // 2), squeeze=False)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_visible(False)
+    for axes, names in zip(grid.flat, panels, strict=False):
+        for name in names:
+            _curve(axes, ran[name])
         axes.set_yscale("symlog", linthresh=0.1)
         axes.set_ylim(0.0, 100.0)
-        axes.set_xlabel(label)
+        axes.set_xlabel(PERTURBATIONS[names[0]].unit)
         axes.set_ylabel("rotation error, degrees")
-        declined_axes.set_ylim(0.0, 105.0)
-        declined_axes.set_ylabel("declined, % (dotted)")
         axes.grid(alpha=0.3)
-        if axes.get_legend_handles_labels()[0]:
-            axes.legend(loc="upper left", fontsize=8)
-    for unused in grid.flat[len(PANELS) :]:
-        unused.set_visible(False)
-    count = sum(len(point.errors_deg) for levels in curves.values() for point in levels.values())
-    figure.suptitle(
-        f"Error against noise: mean (solid), 95th percentile (dashed); {count:,} estimates, seed {outcome.seed}"
-    )
+        axes.legend(loc="upper left", fontsize=7)
+    figure.suptitle(f"Rotation error: mean (solid) and 95th percentile (dashed); {found.tried:,} trials")
     plotting.save(figure, path)
 
 
-def _pairs(outcome: StressOutcome) -> list[tuple[TrialFamily, FamilyResults]]:
-    return list(zip(outcome.families, outcome.results, strict=True))
-
-
-def _done_hours(outcome: StressOutcome) -> float:
-    return sum(family.cost_ms * results.tried / family.frames for family, results in _pairs(outcome)) / 3.6e6
-
-
-def _broken(outcome: StressOutcome) -> list[tuple[str, float]]:
-    return sorted(item for results in outcome.results for item in results.broken_at.items())
-
-
-def _count(outcome: StressOutcome, kind: FailureKind) -> int:
-    return sum(results.counts[kind] for results in outcome.results)
-
-
-def _largest(outcome: StressOutcome, what: str) -> float | None:
-    found = [results.largest[what] for results in outcome.results if what in results.largest]
-    return _rounded(max(found)) if found else None
-
-
-def _colored(count: int) -> str:
-    return f"[red]{count:,}[/]" if count else "0"
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.4g}")
+def _curve(axes: Any, one: PerturbationFigures) -> None:
+    by_level: dict[float, list[float]] = {}
+    for _, outcome in one.trials:
+        by_level.setdefault(outcome.level, []).extend(error for error, _ in outcome.errors)
+    figures = {level: Figures.of(errors) for level, errors in sorted(by_level.items()) if errors}
+    [line] = axes.plot(list(figures), [each.mean for each in figures.values()], "-o", markersize=3, label=one.name)
+    axes.plot(list(figures), [each.p95 for each in figures.values()], "--", color=line.get_color(), linewidth=0.8)

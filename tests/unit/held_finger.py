@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from textured_surfaces import LedLights, Surface, contact_map, heights, shaded_image
 
 from slipguard.datasets.rendered_grasps import bench_object
 from slipguard.devices import Frame
@@ -24,7 +25,6 @@ from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.sensor_unit import random_unit
-from slipguard.stress.textured_surfaces import LedLights, Surface, contact_map, heights, shaded_image
 
 FRAME_S = 1.0 / 60.0
 BACKGROUND = np.full((320, 240, 3), 100, np.uint8)

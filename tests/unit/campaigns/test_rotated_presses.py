@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from textured_surfaces import LEVEL, LedLights, contact_map, heights, lettered, shaded_image
 
 from slipguard.errors import InputError
-from slipguard.stress.textured_surfaces import LEVEL, LedLights, contact_map, heights, lettered, shaded_image
 from tests.campaigns.command_line import run
 from tests.campaigns.rotated_presses import PressImage, press_images, rotated_difference, rotated_grasp
 

@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from textured_surfaces import Surface, ball, plate
 
 from slipguard.perception.axial_angle import axial_difference_deg, nearest_rotation_deg, wrap_axial_deg
 from slipguard.perception.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate_axis
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.patch import Patch, find_patch
-from slipguard.stress.textured_surfaces import Surface, ball, plate
 
 ANY_DEG = st.floats(-1e6, 1e6)
 

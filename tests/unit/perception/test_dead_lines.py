@@ -15,10 +15,10 @@ from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.sensor_unit import random_unit
+from slipguard.stress.grasps import Image, rotated_grasp
 from slipguard.stress.image_distortions import DISTORTIONS
-from slipguard.stress.image_families import IMAGES, Image, rotated_grasp
-from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.trial_family import FamilyResults, generator
+from slipguard.stress.run import cases
+from slipguard.stress.trial import ProductFunctions, run_trial
 
 ROWS, COLUMNS = {0: 250, 71: 0, 72: 0, 200: 90, 319: 40}, {5: 30, 150: 180, 239: 0}
 
@@ -75,11 +75,9 @@ def test_invalid_images_are_rejected_before_interpolation() -> None:
         lines.interpolate(np.zeros((160, 120, 3), np.uint8))
 
 
-@pytest.mark.parametrize("seed", [413, 861, 2077])
-def test_dead_lines_cause_no_wrong_certain_rotation(seed: int) -> None:
-    results = FamilyResults("pictures")
-    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
-    assert not results.failures, results.failures
+def test_dead_lines_cause_no_wrong_certain_rotation() -> None:
+    for case in cases(["dead lines"], 0, ProductFunctions())[:6]:
+        assert not run_trial(case).failures, case
 
 
 def drawn_over(image: Image) -> NDArray[np.uint8]:

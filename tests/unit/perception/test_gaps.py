@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from held_finger import FRAME_S, DrawnFinger, RenderedFinger
+from textured_surfaces import Heights, Surface, gear, lettered, nut, plate, ring, toothed
 
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
-from slipguard.stress.textured_surfaces import Heights, Surface, gear, lettered, nut, plate, ring, toothed
 
 AMBIGUOUS = DeclineReason.SEVERAL_ROTATIONS
 

@@ -21,10 +21,10 @@ from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.sensor_unit import random_unit
+from slipguard.stress.grasps import rotated_grasp
 from slipguard.stress.image_distortions import DISTORTIONS
-from slipguard.stress.image_families import IMAGES, rotated_grasp
-from slipguard.stress.product_functions import ProductFunctions
-from slipguard.stress.trial_family import FamilyResults, generator
+from slipguard.stress.run import cases
+from slipguard.stress.trial import ProductFunctions, run_trial
 
 Image = NDArray[np.uint8]
 
@@ -212,11 +212,10 @@ def test_a_coarsely_compressed_contact_is_declined_and_a_finer_one_is_measured(c
             assert estimates[-1].rotation_deg == pytest.approx(shown.rotations_deg[-1], abs=2.0)
 
 
-@pytest.mark.parametrize("seed", [821, 3063, 5344, 6649, 7545])
-def test_no_certain_rotation_is_wrong_because_of_blocks_levels_or_noise(seed: int) -> None:
-    results = FamilyResults("pictures")
-    IMAGES.begin(ProductFunctions())(generator("pictures", seed), seed, results)
-    assert not results.failures, results.failures
+@pytest.mark.parametrize("name", ["JPEG", "few levels", "noise"])
+def test_no_certain_rotation_is_wrong_because_of_blocks_levels_or_noise(name: str) -> None:
+    for case in cases([name], 0, ProductFunctions())[:6]:
+        assert not run_trial(case).failures, case
 
 
 @pytest.mark.parametrize(("exponent", "gain"), [(5.0**0.75, 1.0), (1.0, 0.15)])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from held_finger import BACKGROUND, CENTER, FRAME_S, PX_PER_MM, START_DEG, DrawnContact, DrawnFinger, RenderedFinger
 from numpy.typing import NDArray
+from textured_surfaces import LedLights, Surface, ball, lettered, plate, ring
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
@@ -18,7 +19,6 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.skipping import Skips
-from slipguard.stress.textured_surfaces import LedLights, Surface, ball, lettered, plate, ring
 
 
 def assert_within(estimate: Estimate, true_deg: float, sigma_max_deg: float = 1.5) -> None:

@@ -7,12 +7,12 @@ from functools import cache
 
 import pytest
 from held_finger import PX_PER_MM, DrawnFinger, RenderedFinger
+from textured_surfaces import lettered, plate
 
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.shaft import Shaft
-from slipguard.stress.textured_surfaces import lettered, plate
 
 
 @cache

@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from held_finger import FRAME_S, DrawnFinger, RenderedFinger
+from textured_surfaces import lettered, plate, ring
 
 from slipguard.perception.skipping import ALL_SKIPS, Skips
-from slipguard.stress.textured_surfaces import lettered, plate, ring
 
 NO_SKIPS = Skips(no_contact=False, unchanged=False, whole=False)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from held_finger import DrawnFinger, RenderedFinger
+from textured_surfaces import Surface, ball, gear, lettered, nut, plate
 
 from slipguard.errors import FrameCorrupt
 from slipguard.perception.declined import DeclineReason
 from slipguard.perception.stored_reference import DIFFERS_AFTER, MATCHES_AFTER, ResumingPipeline, StoredReference
-from slipguard.stress.textured_surfaces import Surface, ball, gear, lettered, nut, plate
 
 RESTART_S = 10.0
 WAITING = DeclineReason.CHECKING_STORED_REFERENCE
