@@ -6,7 +6,6 @@ Bodies and responses are JSON objects, described at /openapi.json. Errors are {"
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, Path, Query, Request, Response, WebSocket
@@ -89,8 +88,7 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
         """Return state and counters in the format of Prometheus."""
 
         async def respond() -> Response:
-            state = state_models.State.model_validate_json(await context.state.get())
-            text = prometheus_text(state, json.loads(await context.counters.get()))
+            text = prometheus_text(await context.state.get(), await context.counters.get())
             return Response(text, media_type=CONTENT_TYPE_LATEST)
 
         return await with_error_response("/metrics", respond())

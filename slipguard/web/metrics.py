@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -21,10 +22,10 @@ LOST_FRAMES = ("corrupt", "torn", "frozen", "stalled", "missed", "late")
 """Reasons of lost frames: these counts of a finger together."""
 
 
-def prometheus_text(state: State, counters: Mapping[str, Any]) -> bytes:
-    """Return the metrics as text. counters: as `DaemonApi.counters` returns them."""
+def prometheus_text(state: bytes, counters: bytes) -> bytes:
+    """Return the metrics as text. state, counters: JSON as `DaemonApi` returns them."""
     registry = CollectorRegistry(auto_describe=False)
-    registry.register(_StateCollector(state, counters))
+    registry.register(_StateCollector(State.model_validate_json(state), json.loads(counters)))
     return generate_latest(registry)
 
 
