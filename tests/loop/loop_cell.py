@@ -6,9 +6,11 @@ So a lift of eight seconds takes a fraction of one.
 from __future__ import annotations
 
 import asyncio
+import inspect
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial, wraps
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from loop_doubles import ClosableWorker, FlatSensor, LoggedArm, LoggedGripper, M
 
 from slipguard.config import Config, parse_config
 from slipguard.control.control_step import control_step
+from slipguard.control.reports import Fault, FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import DaemonRequest, GraspRequest, LiftRequest, LowerRequest, ReleaseRequest
@@ -28,6 +31,8 @@ from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
+
+Scene = Callable[..., Coroutine[Any, Any, None]]
 
 
 @dataclass
@@ -49,7 +54,7 @@ class Cell:
     threads: bool = False
     fps: float = 60.0
     watched: bool = True
-    world: World | None = None
+    world: World = None  # type: ignore[assignment]  # a new one, unless it is given
     calibrated: bool = True
     fingertip_mm: float = 0.0
     configured_mm: float | None = None
@@ -67,7 +72,7 @@ class Cell:
         self.fresh = self.world is None
         start_mm = find_object(self.object_name).width_mm + 20.0 + 2.0 * self.fingertip_mm
         settings = WorldSettings(step_s=2e-3, start_width_mm=start_mm, fingertip_mm=self.fingertip_mm)
-        self.world = world = self.world or World(settings, seed=self.seed)
+        world = self.world = self.world or World(settings, seed=self.seed)
         rng = np.random.default_rng([self.seed, 7])
         self.sensors = {name: FlatSensor(DriverContext(name, world)) for name in FINGERS}
         self.gripper = LoggedGripper(
@@ -133,7 +138,6 @@ class Cell:
 
     @property
     def truth(self) -> WorldTruth:
-        assert self.world is not None
         return self.world.truth(self.now_s)
 
     @property
@@ -142,7 +146,6 @@ class Cell:
 
     @property
     def width_mm(self) -> float:
-        assert self.world is not None
         return self.world.gripper_state(self.now_s).width_mm
 
     def steady(self) -> bool:
@@ -161,6 +164,14 @@ class Cell:
         while not reached():
             assert self.now_s < deadline_s, self.summary
             await asyncio.sleep(0.01)
+
+    async def faulted(self, code: FaultCode, within_s: float = 10.0) -> Fault:
+        """Wait for a fault and return it; fail if it has another code."""
+        await self.until(lambda: self.phase is Phase.FAULT, within_s)
+        fault = self.service.state.fault
+        assert fault is not None
+        assert fault.code is code, fault
+        return fault
 
     async def ready(self) -> None:
         await self.until(lambda: not self.service.waiting_for)
@@ -191,7 +202,6 @@ class Cell:
 @asynccontextmanager
 async def running(cell: Cell) -> AsyncIterator[Cell]:
     """The service runs while the body does; what it raises is raised here, and it leaves no task behind."""
-    assert cell.world is not None
     if cell.fresh:
         drawn = scenario(cell.object_name, cell.seed)
         left, right = replace(drawn.left, fps=cell.fps), replace(drawn.right, fps=cell.fps)
@@ -222,3 +232,17 @@ def play(cell: Cell, scene: Callable[[Cell], Coroutine[Any, Any, None]]) -> Cell
 
     run_virtual(main())
     return cell
+
+
+def on_cell(*args: Any, make: Callable[..., Cell] = Cell, **settings: Any) -> Callable[[Scene], Callable[..., None]]:
+    """Return a decorator that makes an async function with a `cell` a test: a scene on a new `make(...)`."""
+
+    def decorate(scene: Scene) -> Callable[..., None]:
+        @wraps(scene)
+        def test(**values: Any) -> None:
+            play(make(*args, **settings), partial(scene, **values))
+
+        test.__signature__ = inspect.Signature(list(inspect.signature(scene).parameters.values())[1:])  # type: ignore[attr-defined]
+        return test
+
+    return decorate

@@ -16,6 +16,8 @@ class Motor:
     def __init__(self) -> None:
         self.opened = self.closed = self.asked = 0
         self.done: list[str] = []
+        self.events: list[str] = []
+        self.actuator: Actuator[int]
         self.failure: Exception | None = None
 
     async def open(self) -> None:
@@ -29,6 +31,15 @@ class Motor:
             raise self.failure
         return self.asked
 
+    def does(self, what: str, for_s: float = 0.0) -> Callable[[], Awaitable[None]]:
+        """Return a command that notes what it did, after some time."""
+
+        async def act() -> None:
+            await asyncio.sleep(for_s)
+            self.done.append(what)
+
+        return act
+
     async def close(self) -> None:
         self.closed += 1
 
@@ -38,191 +49,132 @@ class Motor:
             raise self.failure
 
 
-def drive(scenario: Callable[[Motor, Actuator[int], list[str]], Awaitable[None]]) -> Motor:
-    motor, events = Motor(), list[str]()
+def on_motor(scenario: Callable[[Motor], Awaitable[None]]) -> Callable[[], None]:
+    """Make a scenario with a running actuator a test."""
 
     async def main() -> None:
-        actuator: Actuator[int] = Actuator("motor", motor, 0.02, 0.5, lambda: None, events.append)
-        task = asyncio.create_task(actuator.run())
+        motor = Motor()
+        motor.actuator = Actuator("motor", motor, 0.02, 0.5, lambda: None, motor.events.append)
+        task = asyncio.create_task(motor.actuator.run())
         try:
-            await scenario(motor, actuator, events)
+            await asyncio.sleep(0.1)
+            await scenario(motor)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
+            assert motor.closed
 
-    run_virtual(main())
-    return motor
-
-
-def test_it_polls_on_time_and_closes_at_the_end() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        await asyncio.sleep(1.01)
-        assert actuator.health.ready
-
-    motor = drive(scenario)
-    assert motor.asked == 51
-    assert (motor.opened, motor.closed) == (1, 1)
+    return lambda: run_virtual(main())
 
 
-def test_a_newer_command_replaces_one_not_yet_begun() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        await asyncio.sleep(0.1)
+UNPLUGGED = DeviceLost("motor: unplugged; plug it in")
 
-        async def slow() -> None:
-            motor.done.append("slow")
-            await asyncio.sleep(0.05)
 
-        async def old() -> None:
-            motor.done.append("old")
+@on_motor
+async def test_it_polls_on_time(motor: Motor) -> None:
+    await asyncio.sleep(0.91)
+    assert motor.actuator.health.ready
+    assert (motor.asked, motor.opened) == (51, 1)
 
-        async def new() -> None:
-            motor.done.append("new")
 
-        actuator.command(slow)
+@on_motor
+async def test_the_newest_command_is_carried_out_next_and_urgent_ones_come_before_others(motor: Motor) -> None:
+    command = motor.actuator.command
+    command(motor.does("slow", 0.05))
+    await asyncio.sleep(0.01)
+    command(motor.does("old"))
+    command(motor.does("new"))
+    await asyncio.sleep(0.2)
+    assert motor.done == ["slow", "new"]
+    command(motor.does("hold", 0.05))
+    await asyncio.sleep(0.01)
+    command(motor.does("tighten"))
+    command(motor.does("release"), urgent=True)
+    command(motor.does("tighten"))
+    command(motor.does("release wider"), urgent=True)
+    command(motor.does("halt"))
+    await asyncio.sleep(0.2)
+    assert motor.done[2:] == ["hold", "release wider"]
+
+
+@on_motor
+async def test_a_stop_does_not_wait_for_a_command_that_is_carried_out(motor: Motor) -> None:
+    motor.actuator.command(motor.does("slow", 0.5))
+    await asyncio.sleep(0.01)
+    motor.actuator.command(motor.stop)
+    await asyncio.sleep(0.01)
+    assert motor.done == ["stop"]
+    await asyncio.sleep(0.6)
+    assert motor.done == ["stop", "slow", "stop"], "the command may have begun a motion after the stop"
+
+
+@on_motor
+async def test_a_time_out_is_trouble_and_a_refusal_is_an_event(motor: Motor) -> None:
+    motor.failure = DeviceTimeout("motor: no answer for 0.1 s")
+    await asyncio.sleep(0.1)
+    assert motor.actuator.health.state == "error"
+    motor.failure = None
+    await asyncio.sleep(0.1)
+    assert motor.actuator.health.ready
+
+    async def refused() -> None:
+        raise CommandRefused("an object is held; release it first")
+
+    motor.actuator.command(refused)
+    await asyncio.sleep(0.1)
+    assert motor.events == ["motor: an object is held; release it first"]
+    assert motor.opened == 1
+
+
+@on_motor
+async def test_a_command_from_before_the_device_was_lost_is_not_carried_out_after_it(motor: Motor) -> None:
+    async def lost_while_asked() -> int:
+        motor.actuator.command(motor.does("lift"))
+        raise UNPLUGGED
+
+    motor.state = lost_while_asked  # type: ignore[method-assign]
+    await asyncio.sleep(0.1)
+    assert motor.actuator.health.state == "disconnected"
+    motor.actuator.command(motor.does("lift"))
+    del motor.state
+    await asyncio.sleep(1.0)
+    assert motor.actuator.health.ready
+    assert motor.done == []
+
+
+@on_motor
+async def test_only_a_stop_reaches_a_lost_device_which_is_taken_up_again(motor: Motor) -> None:
+    motor.failure = UNPLUGGED
+    await asyncio.sleep(3.0)
+    assert (motor.actuator.health.state, motor.actuator.health.reason) == ("disconnected", "unplugged; plug it in")
+    assert motor.actuator.newest is None
+    for _ in range(3):
+        motor.actuator.command(motor.does("lift"))
         await asyncio.sleep(0.01)
-        actuator.command(old)
-        actuator.command(new)
-        await asyncio.sleep(0.2)
-
-    assert drive(scenario).done == ["slow", "new"]
-
-
-def test_a_stop_does_not_wait_for_a_command_that_is_carried_out() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        await asyncio.sleep(0.1)
-
-        async def slow() -> None:
-            await asyncio.sleep(0.5)
-            motor.done.append("slow")
-
-        actuator.command(slow)
+        motor.actuator.command(motor.stop)
         await asyncio.sleep(0.01)
-        actuator.command(motor.stop)
-        await asyncio.sleep(0.01)
-        assert motor.done == ["stop"]
-        await asyncio.sleep(0.6)
-
-    assert drive(scenario).done == ["stop", "slow", "stop"], "the command may have begun a motion after the stop"
-
-
-def test_an_urgent_command_is_replaced_by_urgent_ones_only() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        await asyncio.sleep(0.1)
-
-        def does(what: str) -> Callable[[], Awaitable[None]]:
-            async def act() -> None:
-                motor.done.append(what)
-                await asyncio.sleep(0.05)
-
-            return act
-
-        actuator.command(does("hold"))
-        await asyncio.sleep(0.01)
-        actuator.command(does("tighten"))
-        actuator.command(does("release"), urgent=True)
-        actuator.command(does("tighten"))
-        actuator.command(does("release wider"), urgent=True)
-        actuator.command(does("halt"))
-        await asyncio.sleep(0.2)
-        actuator.command(does("hold again"))
-        await asyncio.sleep(0.1)
-
-    assert drive(scenario).done == ["hold", "release wider", "hold again"]
+    assert motor.done == ["stop"] * 3, "at once, in the middle of the wait"
+    assert motor.events == ["motor: unplugged; plug it in"], "the same message is logged once"
+    motor.failure = None
+    await asyncio.sleep(6.0)
+    assert motor.actuator.health.ready
+    assert motor.done == ["stop"] * 3
 
 
-def test_a_lost_device_is_waited_for_and_taken_up_again() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        motor.failure = DeviceLost("motor: unplugged; plug it in")
-        await asyncio.sleep(3.0)
-        assert actuator.health.state == "disconnected"
-        assert actuator.health.reason == "unplugged; plug it in"
-        assert actuator.newest is None
-        motor.failure = None
-        await asyncio.sleep(6.0)
-        assert actuator.health.ready
-
-    drive(scenario)
-
-
-def test_a_time_out_is_trouble_and_a_refusal_is_an_event() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        await asyncio.sleep(0.1)
-        motor.failure = DeviceTimeout("motor: no answer for 0.1 s")
-        await asyncio.sleep(0.1)
-        assert actuator.health.state == "error"
-        motor.failure = None
-        await asyncio.sleep(0.1)
-        assert actuator.health.ready
-
-        async def refused() -> None:
-            raise CommandRefused("an object is held; release it first")
-
-        actuator.command(refused)
-        await asyncio.sleep(0.1)
-        assert events == ["motor: an object is held; release it first"]
-
-    assert drive(scenario).opened == 1
-
-
-def test_a_command_from_before_the_device_was_lost_is_not_carried_out_after_it() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        async def lift() -> None:
-            motor.done.append("lift")
-
-        async def lost_while_asked() -> int:
-            actuator.command(lift)
-            raise DeviceLost("motor: unplugged; plug it in")
-
-        await asyncio.sleep(0.1)
-        motor.state = lost_while_asked  # type: ignore[method-assign]
-        await asyncio.sleep(0.1)
-        assert actuator.health.state == "disconnected"
-        actuator.command(lift)
-        del motor.state
+@on_motor
+async def test_a_stop_given_while_the_device_is_opened_is_kept(motor: Motor) -> None:
+    async def slowly() -> None:
         await asyncio.sleep(1.0)
-        assert actuator.health.ready
+        if motor.failure:
+            raise motor.failure
 
-    assert drive(scenario).done == []
-
-
-def test_a_stop_reaches_a_device_that_does_not_open_and_nothing_else_does() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        async def lift() -> None:
-            motor.done.append("lift")
-
-        await asyncio.sleep(0.1)
-        motor.failure = DeviceLost("motor: unplugged; plug it in")
-        await asyncio.sleep(3.0)
-        for _ in range(3):
-            actuator.command(lift)
-            await asyncio.sleep(0.01)
-            actuator.command(motor.stop)
-            await asyncio.sleep(0.01)
-        assert motor.done == ["stop"] * 3, "at once, in the middle of the wait"
-        assert events == ["motor: unplugged; plug it in"], "the same message is logged once"
-        motor.failure = None
-        await asyncio.sleep(1.0)
-        assert actuator.health.ready
-
-    assert drive(scenario).done == ["stop"] * 3
-
-
-def test_a_stop_given_while_the_device_is_opened_is_kept() -> None:
-    async def scenario(motor: Motor, actuator: Actuator[int], events: list[str]) -> None:
-        async def slowly() -> None:
-            await asyncio.sleep(1.0)
-            if motor.failure:
-                raise motor.failure
-
-        motor.open = slowly  # type: ignore[method-assign]
-        await asyncio.sleep(0.5)
-        actuator.command(motor.stop)
-        await asyncio.sleep(0.6)
-        assert motor.done == ["stop"], "it opens"
-        motor.failure = DeviceLost("motor: unplugged; plug it in")
-        await asyncio.sleep(0.5)
-        actuator.command(motor.stop)
-        await asyncio.sleep(0.8)
-        assert motor.done == ["stop"] * 2, "it does not"
-
-    drive(scenario)
+    motor.open = slowly  # type: ignore[method-assign]
+    motor.failure = UNPLUGGED
+    await asyncio.sleep(1.0)
+    motor.actuator.command(motor.stop)
+    await asyncio.sleep(1.5)
+    assert motor.done == ["stop"], "it does not open"
+    motor.failure = None
+    motor.actuator.command(motor.stop)
+    await asyncio.sleep(3.0)
+    assert motor.done == ["stop"] * 2, "it opens"

@@ -1,4 +1,4 @@
-"""A busy or suspended machine is reported as such, not as broken cameras; the grip stays and `clear` works."""
+"""A busy or suspended machine is reported as such, not as broken cameras; cycles are skipped and counted."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import asyncio
 import contextlib
 import threading
 
+import numpy as np
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell, running
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, LiftRequest
-from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
-from slipguard.daemon.loop.worker import ThreadWorker
+from slipguard.daemon.loop.async_tools import Backoff, Ticker
+from slipguard.daemon.loop.virtual_time import VirtualTimeLoop, run_virtual
 from slipguard.errors import CommandRefused
 
 PERIOD_S = 0.01
@@ -47,184 +48,213 @@ async def held_and_cleared(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("lifting", [False, True])
-def test_a_suspended_process_latches_the_true_reason_and_goes_on(lifting: bool) -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        if lifting:
-            await cell.submit(LiftRequest())
-            await asyncio.sleep(0.2)
-        stand_still(6.0)
-        await cell.until(lambda: cell.phase is Phase.FAULT, 0.1)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.LOOP_LATE
-        assert "no control step for 6.0" in fault.observed
-        await asyncio.sleep(0.5)
-        await held_and_cleared(cell)
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_a_suspended_process_latches_the_true_reason_and_goes_on(cell: Cell, lifting: bool) -> None:
+    await cell.grasp()
+    if lifting:
+        await cell.submit(LiftRequest())
+        await asyncio.sleep(0.2)
+    stand_still(6.0)
+    fault = await cell.faulted(FaultCode.LOOP_LATE, 0.1)
+    assert "no control step for 6.0" in fault.observed
+    await asyncio.sleep(0.5)
+    await held_and_cleared(cell)
 
 
-def test_a_suspended_process_that_holds_nothing_reports_the_gap() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        stand_still(6.0)
-        await asyncio.sleep(0.5)
-        assert any("no control step for 6.0" in line for line in cell.service.event_log.lines)
-        assert cell.phase is Phase.IDLE
-        await cell.grasp()
-
-    play(Cell("wrench", 1), scene)
-
-
-def test_a_loop_that_is_late_again_and_again_is_named() -> None:
+@on_cell("wrench", 1)
+async def test_a_loop_that_is_late_again_and_again_is_named(cell: Cell) -> None:
     """Four fifths of the time go to other programs; the cameras' frames are lost on the way."""
-
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        for name in ("left", "right"):
-            cell.world.faults.fail(name, "stall")
-        while cell.phase is not Phase.FAULT:
-            await asyncio.sleep(PERIOD_S)
-            stand_still(4 * PERIOD_S)
-        assert cell.service.deadlines_missed > 10
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.MACHINE_BUSY
-        assert "frames lost: no good frame" in fault.observed
-        for name in ("left", "right"):
-            cell.world.faults.repair(name)
-        await cell.ready()
-        await held_and_cleared(cell)
-
-    play(Cell("wrench", 1), scene)
+    await cell.grasp()
+    for name in ("left", "right"):
+        cell.world.faults.fail(name, "stall")
+    while cell.phase is not Phase.FAULT:
+        await asyncio.sleep(PERIOD_S)
+        stand_still(4 * PERIOD_S)
+    assert cell.service.deadlines_missed > 10
+    fault = cell.service.state.fault
+    assert fault is not None
+    assert fault.code is FaultCode.MACHINE_BUSY
+    assert "frames lost: no good frame" in fault.observed
+    for name in ("left", "right"):
+        cell.world.faults.repair(name)
+    await cell.ready()
+    await held_and_cleared(cell)
 
 
 @pytest.mark.parametrize("device", ["gripper", "arm"])
 @pytest.mark.parametrize("busy", [True, False])
-def test_a_silent_device_is_not_blamed_alone_if_the_loop_was_late(device: str, busy: bool) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.ready()
-        cell.world.faults.fail(device, "timeout")
-        for _ in range(100):
-            await asyncio.sleep(PERIOD_S)
-            stand_still(4 * PERIOD_S * busy)
-        (line,) = (line for line in cell.service.event_log.lines if line.startswith(f"{device}: "))
-        assert ("this machine is too busy (the control loop was late for 0." in line) is busy
-        reason = cell.service.devices[device].health.reason
-        assert ("this machine is too busy" in reason) is busy
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_a_silent_device_is_not_blamed_alone_if_the_loop_was_late(cell: Cell, device: str, busy: bool) -> None:
+    await cell.ready()
+    cell.world.faults.fail(device, "timeout")
+    for _ in range(100):
+        await asyncio.sleep(PERIOD_S)
+        stand_still(4 * PERIOD_S * busy)
+    (line,) = (line for line in cell.service.event_log.lines if line.startswith(f"{device}: "))
+    assert ("this machine is too busy (the control loop was late for 0." in line) is busy
+    reason = cell.service.devices[device].health.reason
+    assert ("this machine is too busy" in reason) is busy
 
 
-def test_workers_that_are_late_are_named() -> None:
-    async def scene(cell: Cell) -> None:
+@on_cell("wrench", 1)
+async def test_workers_that_are_late_are_named(cell: Cell) -> None:
+    await cell.grasp()
+    for worker in cell.workers.values():
+        worker.latency_s = 0.5
+    fault = await cell.faulted(FaultCode.MACHINE_BUSY, 1.0)
+    assert "frames arrive, but are processed" in fault.observed
+    for worker in cell.workers.values():
+        worker.latency_s = 0.006
+    await asyncio.sleep(1.0)
+    await held_and_cleared(cell)
+
+
+@on_cell("wrench", 1)
+async def test_processing_that_never_returns_is_named(cell: Cell) -> None:
+    await cell.grasp()
+    for worker in cell.workers.values():
+        worker.latency_s = 1e6
+        worker.waited_s = lambda: 3.0  # type: ignore[method-assign]
+    fault = await cell.faulted(FaultCode.FRAMES_LOST, 1.0)
+    assert "frames arrive, but their processing does not return (left: the processing of a frame has" in fault.observed
+    assert "restart slipguard" in fault.what_to_do
+    await asyncio.sleep(1.0)
+    lines = "\n".join(cell.service.event_log.lines)
+    assert "left: the processing of a frame has not returned for " in lines
+    assert "busy" not in lines
+
+
+@on_cell("wrench", 1)
+async def test_a_thread_that_waits_for_a_processor_is_not_stuck(cell: Cell) -> None:
+    await cell.grasp()
+    for worker in cell.workers.values():
+        worker.latency_s = 1e6
+        worker.waited_s = lambda: 0.5 * cell.now_s  # type: ignore[method-assign]
+    await cell.faulted(FaultCode.MACHINE_BUSY, 1.0)
+
+
+@on_cell("wrench", 1)
+async def test_frames_with_an_old_stamp_are_named_after_their_clock(cell: Cell) -> None:
+    await cell.grasp()
+    for name in ("left", "right"):
+        cell.world.faults.fail(name, "stamps_behind")
+    fault = await cell.faulted(FaultCode.FRAMES_LOST, 1.0)
+    assert "left: its frames are stamped 5.0" in fault.observed
+    await asyncio.sleep(0.5)
+    lines = "\n".join(cell.service.event_log.lines)
+    assert "s before they arrive: the camera's clock is wrong" in lines
+    assert "busy" not in lines
+
+
+@on_cell("wrench", 1)
+async def test_cameras_that_stall_on_an_idle_machine_are_named(cell: Cell) -> None:
+    await cell.grasp()
+    stand_still(0.2)
+    await asyncio.sleep(2.0)
+    for name in ("left", "right"):
+        cell.world.faults.fail(name, "stall")
+    await cell.faulted(FaultCode.FRAMES_LOST, 1.0)
+
+
+@on_cell(latency_s=0.05)
+async def test_the_newest_frame_wins_when_the_worker_is_slow(cell: Cell) -> None:
+    await cell.ready()
+    judged: dict[str, list[int]] = {"left": [], "right": []}
+    cell.service.observers.append(
+        lambda decision: [judged[name].append(one.sequence) for name, one in decision.new_estimates.items()]
+    )
+    await asyncio.sleep(2.0)
+    for name, finger in cell.service.fingers.items():
+        steps = np.diff(judged[name])
+        assert (steps >= 3).all()  # 50 ms of work, a frame every 16.7 ms
+        assert (steps <= 5).all()
+        assert finger.capture.counts.late > 50
+        assert finger.captured_at_s is not None
+        assert cell.now_s - finger.captured_at_s < 0.17
+
+
+@on_cell("wrench", 1, latency_s=0.03)
+async def test_an_estimate_computed_during_a_reset_of_the_reference_is_dropped(cell: Cell) -> None:
+    await cell.grasp()
+    finger, oracle = cell.service.fingers["left"], cell.perceivers["left"][0]
+    await cell.until(lambda: finger.newest is not None and finger.newest.estimate.sequence < oracle.sequence)
+    under_way = oracle.sequence
+    finger.reset_reference()
+    assert finger.newest is None
+    await finger.has_estimate.wait()
+    assert finger.newest is not None
+    assert finger.newest.estimate.sequence > under_way
+    assert finger.newest.estimate.rotation_deg is None
+
+
+async def test_on_the_real_clock_with_threads_it_grips_and_ends_its_threads() -> None:
+    others = set(threading.enumerate())  # threads of an earlier test may not have ended yet
+    cell = Cell(
+        "key",
+        1,
+        guard={"tuning": {"reference_timeout_s": 5.0, "frames_timeout_s": 5.0, "cycle_timeout_s": 5.0}},
+        threads=True,
+    )
+    async with running(cell):
         await cell.grasp()
-        for worker in cell.workers.values():
-            worker.latency_s = 0.5
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.MACHINE_BUSY
-        assert "frames arrive, but are processed" in fault.observed
-        for worker in cell.workers.values():
-            worker.latency_s = 0.006
-        await asyncio.sleep(1.0)
-        await held_and_cleared(cell)
-
-    play(Cell("wrench", 1), scene)
+        names = {thread.name for thread in threading.enumerate()}
+        assert any(name.startswith("slipguard-left") for name in names)
+        assert cell.truth.in_contact
+    assert cell.truth.in_contact
+    assert not [one for one in set(threading.enumerate()) - others if one.name.startswith("slipguard-")]
 
 
-def test_processing_that_never_returns_is_named() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        for worker in cell.workers.values():
-            worker.latency_s = 1e6
-            worker.waited_s = lambda: 3.0  # type: ignore[method-assign]
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.FRAMES_LOST
-        assert (
-            "frames arrive, but their processing does not return (left: the processing of a frame has" in fault.observed
-        )
-        assert "restart slipguard" in fault.what_to_do
-        await asyncio.sleep(1.0)
-        lines = "\n".join(cell.service.event_log.lines)
-        assert "left: the processing of a frame has not returned for " in lines
-        assert "busy" not in lines
+def test_a_late_loop_skips_and_counts_and_does_not_burst() -> None:
+    async def scenario() -> tuple[int, list[float]]:
+        ticker, loop = Ticker(0.01), asyncio.get_running_loop()
+        await ticker.wait()
+        await asyncio.sleep(0.055)
+        times = []
+        for _ in range(3):
+            await ticker.wait()
+            times.append(round(loop.time() % 1, 6))
+        return ticker.missed, times
 
-    play(Cell("wrench", 1), scene)
+    missed, times = run_virtual(scenario())
+    assert missed == 4
+    assert times == [
+        0.065,
+        0.07,
+        0.08,
+    ]  # one beat at once for the one now due, then on the grid again
 
 
-def test_a_thread_that_waits_for_a_processor_is_not_stuck() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        for worker in cell.workers.values():
-            worker.latency_s = 1e6
-            worker.waited_s = lambda: 0.5 * cell.now_s  # type: ignore[method-assign]
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.MACHINE_BUSY
+def test_a_new_value_wakes_before_the_next_tick() -> None:
+    async def scenario() -> tuple[bool, bool, float]:
+        ticker, wake, loop = Ticker(0.01), asyncio.Event(), asyncio.get_running_loop()
+        start_s = loop.time()
+        loop.call_later(0.003, wake.set)
+        first = await ticker.wait(wake)
+        wake.clear()
+        second = await ticker.wait(wake)
+        return first, second, loop.time() - start_s
 
-    play(Cell("wrench", 1), scene)
-
-
-def test_a_thread_that_hangs_does_not_wait_for_a_processor() -> None:
-    async def main() -> None:
-        worker, hangs, goes_on = ThreadWorker("test"), threading.Event(), threading.Event()
-
-        def hang(_: object) -> bool:
-            hangs.set()
-            return goes_on.wait()
-
-        task = asyncio.create_task(worker.run(hang, None))
-        await asyncio.to_thread(hangs.wait)
-        await asyncio.sleep(0.02)
-        waited_s = worker.waited_s()
-        await asyncio.sleep(0.05)
-        assert waited_s is not None
-        assert worker.waited_s() == waited_s
-        goes_on.set()
-        await task
-        worker.close()
-
-    asyncio.run(main())
+    first, second, elapsed_s = run_virtual(scenario())
+    assert (first, second) == (False, True)
+    assert elapsed_s == pytest.approx(0.01)
 
 
-def test_frames_with_an_old_stamp_are_named_after_their_clock() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        for name in ("left", "right"):
-            cell.world.faults.fail(name, "stamps_behind")
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.FRAMES_LOST
-        assert "left: its frames are stamped 5.0" in fault.observed
-        await asyncio.sleep(0.5)
-        lines = "\n".join(cell.service.event_log.lines)
-        assert "s before they arrive: the camera's clock is wrong" in lines
-        assert "busy" not in lines
-
-    play(Cell("wrench", 1), scene)
+@pytest.mark.parametrize("period_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_period_must_be_a_positive_time(period_s: float) -> None:
+    with pytest.raises(ValueError, match="period_s"):
+        Ticker(period_s)
 
 
-def test_cameras_that_stall_on_an_idle_machine_are_named() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        stand_still(0.2)
-        await asyncio.sleep(2.0)
-        for name in ("left", "right"):
-            cell.world.faults.fail(name, "stall")
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.FRAMES_LOST
+def test_back_off_doubles_up_to_ten_times_and_starts_again() -> None:
+    async def scenario() -> list[float]:
+        backoff, loop, pauses = Backoff(0.5), asyncio.get_running_loop(), []
+        for _ in range(6):
+            start_s = loop.time()
+            await backoff.wait()
+            pauses.append(loop.time() - start_s)
+        backoff.reset()
+        start_s = loop.time()
+        await backoff.wait()
+        return [*pauses, loop.time() - start_s]
 
-    play(Cell("wrench", 1), scene)
+    assert run_virtual(scenario()) == pytest.approx([0.5, 1, 2, 4, 5, 5, 0.5])

@@ -1,18 +1,25 @@
-"""Background images: when they may be taken, why some are refused, and that new ones are used."""
+"""Background images: when they may be taken, why some are refused, that new ones are used, and older ones restored."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+from collections.abc import Callable, Coroutine
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell, play
+from loop_doubles import SHAPE
+from pydantic import ValidationError
 
-from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
-from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, GuardRequest, MoveJawsRequest
+from slipguard.daemon.api.handlers import RequestHandlers
+from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, MoveJawsRequest, RestoreBackgroundRequest
 from slipguard.daemon.store.background_images import FRAMES, BackgroundImage, average_background
+from slipguard.daemon.store.state_dir import StateDir
 from slipguard.errors import CommandRefused, ConfigError, InputError
 
 
@@ -57,195 +64,220 @@ def uncalibrated() -> Cell:
     return Cell(calibrated=False)
 
 
-def test_it_is_needed_before_the_first_grasp_and_used_from_then_on() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        with pytest.raises(CommandRefused, match=r"left finger \(SIM-L\) has no background image; run `slipguard cal"):
-            await cell.submit(GraspRequest())
-        taken = await cell.handlers.calibrate(CalibrateRequest())
-        assert sorted(taken) == ["left", "right"]
-        assert sorted(cell.store.kept) == ["SIM-L", "SIM-R"]
-        assert cell.store.kept["SIM-L"] is taken["left"]
-        assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 2}
-        for name, finger in cell.service.fingers.items():
-            assert finger.pipeline is cell.perceivers[name][-1]
-            assert finger.newest is not None
-        await cell.grasp()
-
-    play(uncalibrated(), scene)
-
-
-def test_it_is_refused_while_something_is_or_may_be_touched() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.ready()
+@on_cell(make=uncalibrated)
+async def test_it_is_needed_before_the_first_grasp_and_used_from_then_on(cell: Cell) -> None:
+    await cell.ready()
+    with pytest.raises(CommandRefused, match=r"left finger \(SIM-L\) has no background image; run `slipguard cal"):
         await cell.submit(GraspRequest())
-        with pytest.raises(CommandRefused, match="cannot calibrate while closing; support the object, then release it"):
-            await cell.submit(CalibrateRequest())
-        await cell.until(cell.steady)
-        with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
-            await cell.submit(CalibrateRequest())
-        await cell.release()
-        cell.world.clear(cell.now_s)
-        await cell.submit(GraspRequest())
-        await cell.until(lambda: cell.phase is Phase.IDLE)
-        with pytest.raises(CommandRefused, match="open the jaws"):
-            await cell.submit(CalibrateRequest())
-        await cell.release()
-        await asyncio.sleep(0.2)
-        assert sorted(await cell.handlers.calibrate(CalibrateRequest())) == ["left", "right"]
-
-    play(Cell(), scene)
+    taken = await cell.handlers.calibrate(CalibrateRequest())
+    assert sorted(taken) == ["left", "right"]
+    assert sorted(cell.store.kept) == ["SIM-L", "SIM-R"]
+    assert cell.store.kept["SIM-L"] is taken["left"]
+    assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 2}
+    for name, finger in cell.service.fingers.items():
+        assert finger.pipeline is cell.perceivers[name][-1]
+        assert finger.newest is not None
+    await cell.grasp()
 
 
-def test_it_is_refused_in_contact_unless_that_is_known_better() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.perceivers["left"][0].always_touched = True
-        await asyncio.sleep(0.1)
-        with pytest.raises(CommandRefused, match="left finger is in contact; remove the object, or use --force"):
-            await cell.submit(CalibrateRequest())
-        await cell.submit(CalibrateRequest(force=True))
-
-    play(Cell(), scene)
-
-
-def test_it_is_refused_while_the_gripper_is_held_by_another_program() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await cell.submit(GuardRequest(on=False))
-        await cell.submit(MoveJawsRequest(width_mm=0.0, force_n=30.0))
-        await cell.until(lambda: cell.truth.in_contact)
-        await asyncio.sleep(0.3)
-        assert cell.phase is Phase.IDLE
-        with pytest.raises(
-            CommandRefused, match="is moving, holding or closed; support what it holds, then open the jaws"
-        ):
-            await cell.submit(CalibrateRequest())
-
-    play(Cell(guard={"mode": "guard"}), scene)
+@on_cell()
+async def test_it_is_refused_while_something_is_or_may_be_touched(cell: Cell) -> None:
+    await cell.ready()
+    await cell.submit(GraspRequest())
+    with pytest.raises(CommandRefused, match="cannot calibrate while closing; support the object, then release it"):
+        await cell.submit(CalibrateRequest())
+    await cell.until(cell.steady)
+    with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
+        await cell.submit(CalibrateRequest())
+    await cell.release()
+    cell.world.clear(cell.now_s)
+    await cell.submit(GraspRequest())
+    await cell.until(lambda: cell.phase is Phase.IDLE)
+    with pytest.raises(CommandRefused, match="open the jaws"):
+        await cell.submit(CalibrateRequest())
+    await cell.release()
+    await asyncio.sleep(0.2)
+    assert sorted(await cell.handlers.calibrate(CalibrateRequest())) == ["left", "right"]
 
 
-def test_a_moving_image_stores_nothing() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.sensors["right"].numbered_images.flickers = True
-        with pytest.raises(CommandRefused, match="right: the image is not still"):
-            await cell.submit(CalibrateRequest())
-        assert cell.store.kept == {}
-        assert all(finger.capture._copies is None for finger in cell.service.fingers.values())
-        assert not cell.service.waiting_for
+@on_cell()
+async def test_it_is_refused_in_contact_unless_that_is_known_better(cell: Cell) -> None:
+    await cell.ready()
+    cell.perceivers["left"][0].always_touched = True
+    await asyncio.sleep(0.1)
+    with pytest.raises(CommandRefused, match="left finger is in contact; remove the object, or use --force"):
+        await cell.submit(CalibrateRequest())
+    await cell.submit(CalibrateRequest(force=True))
 
-    play(uncalibrated(), scene)
+
+@on_cell(make=uncalibrated)
+async def test_a_moving_image_stores_nothing(cell: Cell) -> None:
+    await cell.ready()
+    cell.sensors["right"].numbered_images.flickers = True
+    with pytest.raises(CommandRefused, match="right: the image is not still"):
+        await cell.submit(CalibrateRequest())
+    assert cell.store.kept == {}
+    assert all(finger.capture._copies is None for finger in cell.service.fingers.values())
+    assert not cell.service.waiting_for
 
 
 @pytest.mark.parametrize("kind", ["disconnect", "stall"])
-def test_without_frames_it_is_refused(kind: str) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.ready()
-        asked = asyncio.create_task(cell.submit(CalibrateRequest()))
-        await asyncio.sleep(0.1)
-        cell.world.faults.fail("right", kind)
-        with pytest.raises(CommandRefused, match=r"right: received \d+ of 30 frames within 5 s"):
-            await asked
-        with pytest.raises(CommandRefused, match="no frames from right"):
-            await cell.submit(CalibrateRequest())
-        assert cell.store.kept == {}
-
-    play(uncalibrated(), scene)
-
-
-def test_nothing_may_close_while_it_goes_on() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        asked = asyncio.create_task(cell.submit(CalibrateRequest()))
-        await asyncio.sleep(0.1)
-        for request in (
-            cell.submit(GraspRequest()),
-            cell.submit(MoveJawsRequest(width_mm=0.0, force_n=30.0)),
-            cell.submit(CalibrateRequest()),
-        ):
-            with pytest.raises(CommandRefused, match="a calibration is running"):
-                await request
+@on_cell(make=uncalibrated)
+async def test_without_frames_it_is_refused(cell: Cell, kind: str) -> None:
+    await cell.ready()
+    asked = asyncio.create_task(cell.submit(CalibrateRequest()))
+    await asyncio.sleep(0.1)
+    cell.world.faults.fail("right", kind)
+    with pytest.raises(CommandRefused, match=r"right: received \d+ of 30 frames within 5 s"):
         await asked
-        await cell.grasp()
-
-    play(Cell(), scene)
-
-
-def test_nothing_is_stored_if_something_was_gripped_meanwhile() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        asked = asyncio.create_task(cell.submit(CalibrateRequest()))
-        await asyncio.sleep(0.1)
-        await cell.service.request(ControlRequest(RequestKind.GRASP))
-        with pytest.raises(CommandRefused, match="cannot calibrate while"):
-            await asked
-        assert cell.store.kept == {}
-
-    play(uncalibrated(), scene)
+    with pytest.raises(CommandRefused, match="no frames from right"):
+        await cell.submit(CalibrateRequest())
+    assert cell.store.kept == {}
 
 
-def test_a_damaged_image_is_a_reason_not_to_grasp() -> None:
+@on_cell()
+async def test_nothing_may_close_while_it_goes_on(cell: Cell) -> None:
+    await cell.ready()
+    asked = asyncio.create_task(cell.submit(CalibrateRequest()))
+    await asyncio.sleep(0.1)
+    for request in (
+        cell.submit(GraspRequest()),
+        cell.submit(MoveJawsRequest(width_mm=0.0, force_n=30.0)),
+        cell.submit(CalibrateRequest()),
+    ):
+        with pytest.raises(CommandRefused, match="a calibration is running"):
+            await request
+    await asked
+    await cell.grasp()
+
+
+@on_cell()
+async def test_a_damaged_image_is_a_reason_not_to_grasp(cell: Cell) -> None:
     def damaged(serial: str) -> BackgroundImage | None:
         raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
 
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.store.load_background = damaged  # type: ignore[method-assign]
-        with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
-            await cell.submit(GraspRequest())
-
-    play(Cell(), scene)
+    await cell.ready()
+    cell.store.load_background = damaged  # type: ignore[method-assign]
+    with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
+        await cell.submit(GraspRequest())
 
 
-def test_a_damaged_image_is_no_reason_against_a_new_one() -> None:
+@on_cell()
+async def test_a_damaged_image_is_no_reason_against_a_new_one(cell: Cell) -> None:
     """Without its image a finger may see contact where there is none; the advice to calibrate must lead somewhere."""
+    await cell.ready()
+    known = cell.store.load_background
 
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        known = cell.store.load_background
+    def damaged(serial: str) -> BackgroundImage | None:
+        raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
 
-        def damaged(serial: str) -> BackgroundImage | None:
-            raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
-
-        cell.store.load_background = damaged  # type: ignore[method-assign]
-        for finger in cell.service.fingers.values():
-            assert finger.newest is not None
-            finger.newest = replace(finger.newest, estimate=replace(finger.newest.estimate, contact=True))
-        await cell.submit(CalibrateRequest())
-        cell.store.load_background = known  # type: ignore[method-assign]
-        await cell.grasp()
-
-    play(Cell(), scene)
+    cell.store.load_background = damaged  # type: ignore[method-assign]
+    for finger in cell.service.fingers.values():
+        assert finger.newest is not None
+        finger.newest = replace(finger.newest, estimate=replace(finger.newest.estimate, contact=True))
+    await cell.submit(CalibrateRequest())
+    cell.store.load_background = known  # type: ignore[method-assign]
+    await cell.grasp()
 
 
 @pytest.mark.parametrize(
     ("room", "stored", "reason"),
     [(0, {}, "of left .*; nothing was stored"), (1, {"left": 1}, "of right .*; the new image of left is in use")],
 )
-def test_a_full_disk_is_reported_with_the_stored_images_which_stay_in_use(
-    room: int, stored: dict[str, int], reason: str
+@on_cell()
+async def test_a_full_disk_is_reported_with_the_stored_images_which_stay_in_use(
+    cell: Cell, room: int, stored: dict[str, int], reason: str
 ) -> None:
-    async def scene(cell: Cell) -> None:
+    await cell.ready()
+    really_save, asked = cell.store.save_background, list[str]()
+
+    def save(serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
+        asked.append(serial)
+        if len(asked) > room:
+            raise ConfigError("no_contact-0002.png: cannot be written (No space left on device)")
+        really_save(serial, taken)
+
+    before, made = dict(cell.store.kept), {name: len(one) for name, one in cell.perceivers.items()}
+    cell.store.save_background = save  # type: ignore[method-assign]
+    with pytest.raises(CommandRefused, match=reason):
+        await cell.submit(CalibrateRequest())
+    await asyncio.sleep(0.5)
+    used = {name: len(one) - made[name] for name, one in cell.perceivers.items() if len(one) > made[name]}
+    assert used == stored
+    new = [serial for serial, one in cell.store.kept.items() if one is not before.get(serial)]
+    assert new == ["SIM-L"][:room]
+
+
+def taken(level: int) -> BackgroundImage:
+    return BackgroundImage(np.full(SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
+
+
+def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDir], Coroutine[Any, Any, None]]) -> None:
+    """Both sensors have been calibrated twice."""
+    store = StateDir(tmp_path)
+    for serial in ("SIM-L", "SIM-R"):
+        for level in (50, 60):
+            store.save_background(serial, taken(level))
+
+    async def main(cell: Cell) -> None:
+        cell.service.store = store
         await cell.ready()
-        really_save, asked = cell.store.save_background, list[str]()
+        await scene(cell, RequestHandlers(cell.service), store)
 
-        def save(serial: str, taken: BackgroundImage, *, new_gel: bool = False) -> None:
-            asked.append(serial)
-            if len(asked) > room:
-                raise ConfigError("no_contact-0002.png: cannot be written (No space left on device)")
-            really_save(serial, taken)
+    play(Cell(), main)
 
-        before, made = dict(cell.store.kept), {name: len(one) for name, one in cell.perceivers.items()}
-        cell.store.save_background = save  # type: ignore[method-assign]
-        with pytest.raises(CommandRefused, match=reason):
-            await cell.submit(CalibrateRequest())
-        await asyncio.sleep(0.5)
-        used = {name: len(one) - made[name] for name, one in cell.perceivers.items() if len(one) > made[name]}
-        assert used == stored
-        new = [serial for serial, one in cell.store.kept.items() if one is not before.get(serial)]
-        assert new == ["SIM-L"][:room]
 
-    play(Cell(), scene)
+def test_all_that_is_stored_is_listed(tmp_path: Path) -> None:
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        listed = json.loads(await handlers.backgrounds())
+        assert {name: one["serial"] for name, one in listed.items()} == {"left": "SIM-L", "right": "SIM-R"}
+        assert [one["number"] for one in listed["left"]["versions"]] == [1, 2]
+        assert listed["left"]["versions"][1]["level_bgr"] == [60.0, 60.0, 60.0]
+        newest, first = await handlers.background("left"), await handlers.background("left", 1)
+        assert (newest.serial, newest.frame.sequence, int(newest.frame.image[0, 0, 0])) == ("SIM-L", 2, 60)
+        assert (first.frame.sequence, int(first.frame.image[0, 0, 0])) == (1, 50)
+        with pytest.raises(CommandRefused, match="SIM-L: background image 7 not found; stored numbers: 1, 2"):
+            await handlers.background("left", 7)
+        with pytest.raises(CommandRefused, match="no finger 'thumb'; choose from: left, right"):
+            await handlers.background("thumb")
+
+    with_history(tmp_path, scene)
+
+
+def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_path: Path) -> None:
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        response = await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
+        assert response == {"message": "left (SIM-L): background image 1 is in use again"}
+        known = store.load_background("SIM-L")
+        assert known is not None
+        assert int(known.image[0, 0, 0]) == 50
+        assert {name: len(made) for name, made in cell.perceivers.items()} == {"left": 2, "right": 1}
+        with pytest.raises(CommandRefused, match="background image 9 not found"):
+            await handlers.submit(RestoreBackgroundRequest(finger="left", number=9))
+        with pytest.raises(ValidationError):
+            RestoreBackgroundRequest.model_validate({"finger": "thumb", "number": 1})
+
+    with_history(tmp_path, scene)
+
+
+def test_not_while_something_is_held(tmp_path: Path) -> None:
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        await cell.grasp()
+        with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
+            await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
+        assert len(store.background_versions("SIM-L")) == 2
+
+    with_history(tmp_path, scene)
+
+
+@pytest.mark.parametrize("new_gel", [False, True])
+def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool) -> None:
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        await handlers.submit(CalibrateRequest(new_gel=new_gel))
+        newest = store.background_versions("SIM-R")[-1]
+        assert (newest.number, newest.new_gel) == (3, new_gel)
+        first = store.first_of_gel("SIM-R")
+        assert first is not None
+        assert (int(first.image[100, 100, 0]) == 50) is not new_gel
+
+    with_history(tmp_path, scene)

@@ -10,7 +10,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell
 from sampled import sampled
 
 from slipguard.control.reports import FaultCode
@@ -68,94 +68,74 @@ STANDS = {"protective_stop", "emergency_stop"}
 
 @pytest.mark.parametrize("reach", [closing, lifting, pytest.param(holding, marks=pytest.mark.campaign)])
 @pytest.mark.parametrize(("devices", "kind", "code", "seen"), sampled(FAULTS, every=2))
-def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
-    reach: Reach, devices: tuple[str, ...], kind: str, code: FaultCode, seen: str
+@on_cell("wrench", 1, guard=BRISK)
+async def test_a_fault_keeps_the_grip_stops_the_arm_and_can_be_cleared(
+    cell: Cell, reach: Reach, devices: tuple[str, ...], kind: str, code: FaultCode, seen: str
 ) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await reach(cell)
-        failed_at_s, force_n = cell.now_s, cell.service.state.grip.target_n
-        for device in devices:
-            cell.world.faults.fail(device, kind)
-        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
-        fault, latched_n = cell.service.state.fault, cell.service.state.grip.target_n
-        assert fault is not None
-        assert fault.code is code
-        assert seen in fault.observed
-        assert str(fault) in "\n".join(cell.service.event_log.lines)
-        await asyncio.sleep(0.7)
-        sent = [what for sent_s, what, _ in cell.arm.commands if sent_s > failed_at_s]
-        assert sent[:1] == ["stop"] or (devices, kind) == (("arm",), "disconnect")  # no arm is connected
-        assert "lift" not in sent
-        await asyncio.sleep(0.3)
-        if devices == ("arm",) and kind in STANDS:
-            assert cell.service.state.grip.target_n == latched_n
-        if devices != ("arm",) or kind in STANDS:
-            height_mm = cell.truth.height_mm
-            await asyncio.sleep(0.2)
-            assert cell.truth.height_mm == height_mm
-        with pytest.raises(CommandRefused, match=r"cause persists|not connected|stop"):
-            await cell.submit(ClearRequest())
-        for device in devices:
-            cell.world.faults.repair(device, kind)
-        await asyncio.sleep(0.1)
-        await cell.until(lambda: not cell.service.waiting_for and not cell.service.gripper.newest.moving)  # type: ignore[union-attr]
+    await reach(cell)
+    failed_at_s, force_n = cell.now_s, cell.service.state.grip.target_n
+    for device in devices:
+        cell.world.faults.fail(device, kind)
+    await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
+    fault, latched_n = cell.service.state.fault, cell.service.state.grip.target_n
+    assert fault is not None
+    assert fault.code is code
+    assert seen in fault.observed
+    assert str(fault) in "\n".join(cell.service.event_log.lines)
+    await asyncio.sleep(0.7)
+    sent = [what for sent_s, what, _ in cell.arm.commands if sent_s > failed_at_s]
+    assert sent[:1] == ["stop"] or (devices, kind) == (("arm",), "disconnect")  # no arm is connected
+    assert "lift" not in sent
+    await asyncio.sleep(0.3)
+    if devices == ("arm",) and kind in STANDS:
+        assert cell.service.state.grip.target_n == latched_n
+    if devices != ("arm",) or kind in STANDS:
+        height_mm = cell.truth.height_mm
+        await asyncio.sleep(0.2)
+        assert cell.truth.height_mm == height_mm
+    with pytest.raises(CommandRefused, match=r"cause persists|not connected|stop"):
         await cell.submit(ClearRequest())
-        await cell.until(lambda: cell.phase in (Phase.HOLDING, Phase.IDLE))
-        if reach is closing and kind in STANDS:  # cut short: to be asked for again
-            assert cell.phase is Phase.IDLE
-            await cell.grasp()
-            await cell.until(lambda: cell.phase is Phase.HOLDING)
-        assert cell.phase is Phase.HOLDING
-        assert cell.truth.in_contact
-        assert cell.truth.dropped is None
-        assert cell.truth.applied_n >= force_n - 0.5
-        assert not any(what == "release" for _, what, _ in cell.gripper.commands)
-
-    play(Cell("wrench", 1, guard=BRISK), scene)
-
-
-def test_a_gripper_still_closing_is_not_declared_empty() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await closing(cell)
-        cell.world.faults.fail("gripper", "fault")
-        await cell.until(lambda: cell.phase is Phase.FAULT)
-        cell.world.faults.repair("gripper")
-        await asyncio.sleep(0.1)
-        with pytest.raises(CommandRefused, match="the gripper is moving"):
-            await cell.submit(ClearRequest())
-
-    play(Cell("wrench", 1), scene)
+    for device in devices:
+        cell.world.faults.repair(device, kind)
+    await asyncio.sleep(0.1)
+    await cell.until(lambda: not cell.service.waiting_for and not cell.service.gripper.newest.moving)  # type: ignore[union-attr]
+    await cell.submit(ClearRequest())
+    await cell.until(lambda: cell.phase in (Phase.HOLDING, Phase.IDLE))
+    if reach is closing and kind in STANDS:  # cut short: to be asked for again
+        assert cell.phase is Phase.IDLE
+        await cell.grasp()
+        await cell.until(lambda: cell.phase is Phase.HOLDING)
+    assert cell.phase is Phase.HOLDING
+    assert cell.truth.in_contact
+    assert cell.truth.dropped is None
+    assert cell.truth.applied_n >= force_n - 0.5
+    assert not any(what == "release" for _, what, _ in cell.gripper.commands)
 
 
 @pytest.mark.parametrize("kind", ["disconnect", "stall", "frozen", "corrupt"])
 @pytest.mark.parametrize("finger", sampled(["left", "right"], every=2))
-def test_a_lost_finger_is_reported_and_the_other_continues_to_guard(finger: str, kind: str) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        cell.world.faults.fail(finger, kind)
-        before = len(cell.messages)
-        missed = f"{finger} finger: no frames"
-        await cell.until(lambda: any(missed in line for line in cell.messages[before:]), NAMED_WITHIN_S)
-        await cell.until(lambda: any(line.startswith(finger) for line in cell.service.waiting_for), NAMED_WITHIN_S)
-        await cell.lift()
-        assert cell.phase is Phase.HOLDING
-        assert cell.truth.dropped is None
-        assert abs(cell.truth.rotation_deg) < 20.0
-        rotated_deg = cell.truth.rotation_deg
-        cell.world.faults.repair(finger, kind)
-        await cell.until(lambda: not cell.service.waiting_for)
-        await asyncio.sleep(0.5)
-        fused = cell.service.observation.fused if cell.service.observation is not None else None
-        assert fused is not None
-        assert fused.fingers == ("left", "right")
-        assert fused.conflict is None
-        assert fused.rotation_deg == pytest.approx(rotated_deg, abs=3.0)  # with its old reference
-        assert cell.phase is Phase.HOLDING
-
-    cell = play(Cell("wrench", 1, guard=BRISK), scene)
+@on_cell("wrench", 1, guard=BRISK)
+async def test_a_lost_finger_is_reported_and_the_other_continues_to_guard(cell: Cell, finger: str, kind: str) -> None:
+    await cell.grasp()
+    cell.world.faults.fail(finger, kind)
+    before = len(cell.messages)
+    missed = f"{finger} finger: no frames"
+    await cell.until(lambda: any(missed in line for line in cell.messages[before:]), NAMED_WITHIN_S)
+    await cell.until(lambda: any(line.startswith(finger) for line in cell.service.waiting_for), NAMED_WITHIN_S)
+    await cell.lift()
+    assert cell.phase is Phase.HOLDING
+    assert cell.truth.dropped is None
+    assert abs(cell.truth.rotation_deg) < 20.0
+    rotated_deg = cell.truth.rotation_deg
+    cell.world.faults.repair(finger, kind)
+    await cell.until(lambda: not cell.service.waiting_for)
+    await asyncio.sleep(0.5)
+    fused = cell.service.observation.fused if cell.service.observation is not None else None
+    assert fused is not None
+    assert fused.fingers == ("left", "right")
+    assert fused.conflict is None
+    assert fused.rotation_deg == pytest.approx(rotated_deg, abs=3.0)  # with its old reference
+    assert cell.phase is Phase.HOLDING
     assert len(cell.perceivers[finger]) == 1
 
 
@@ -165,54 +145,36 @@ def swing(cell: Cell) -> None:
         made[-1].swings_since_s = cell.now_s
 
 
-def test_an_object_seen_to_rotate_is_gripped_tighter() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        count = len(cell.gripper.commands)
-        swing(cell)
-        await asyncio.sleep(0.8)
-        assert len(cell.gripper.commands) > count
-
-    play(Cell("wrench", 1), scene)
-
-
 @pytest.mark.parametrize("kind", sorted(STANDS))
-def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(kind: str) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        count = len(cell.gripper.commands)
-        cell.world.faults.fail("arm", kind)
-        await asyncio.sleep(0.05)
-        swing(cell)
-        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
-        with pytest.raises(CommandRefused, match="protective or emergency stop"):
-            await cell.submit(MoveJawsRequest(force_n=120.0))
-        await asyncio.sleep(2.0)
-        assert cell.gripper.commands[count:] == []
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(cell: Cell, kind: str) -> None:
+    await cell.grasp()
+    count = len(cell.gripper.commands)
+    cell.world.faults.fail("arm", kind)
+    await asyncio.sleep(0.05)
+    swing(cell)
+    await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
+    with pytest.raises(CommandRefused, match="protective or emergency stop"):
+        await cell.submit(MoveJawsRequest(force_n=120.0))
+    await asyncio.sleep(2.0)
+    assert cell.gripper.commands[count:] == []
 
 
 @pytest.mark.parametrize("kind", ["frozen", "corrupt", "stall"])
-def test_a_sensor_that_gives_nothing_good_for_long_is_opened_again(kind: str) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.ready()
-        cell.world.faults.fail("left", kind)
-        await asyncio.sleep(1.5)
-        assert cell.sensors["left"].opened == 1
-        await asyncio.sleep(2.0)
-        assert cell.sensors["left"].opened == 2
-        cell.world.faults.repair("left")
-        await cell.until(lambda: not cell.service.waiting_for, 1.0)
-        assert cell.sensors["right"].opened == 1
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_sensor_that_gives_nothing_good_for_long_is_opened_again(cell: Cell, kind: str) -> None:
+    await cell.ready()
+    cell.world.faults.fail("left", kind)
+    await asyncio.sleep(1.5)
+    assert cell.sensors["left"].opened == 1
+    await asyncio.sleep(2.0)
+    assert cell.sensors["left"].opened == 2
+    cell.world.faults.repair("left")
+    await cell.until(lambda: not cell.service.waiting_for, 1.0)
+    assert cell.sensors["right"].opened == 1
 
 
 async def faulty(cell: Cell) -> None:
-    assert cell.world is not None
     await holding(cell)
     cell.world.faults.fail("arm", "protective_stop")
     await cell.until(lambda: cell.phase is Phase.FAULT)
@@ -232,7 +194,6 @@ async def lowering(cell: Cell) -> None:
 
 async def declining(cell: Cell) -> None:
     """Both cameras are gone: a fault by now."""
-    assert cell.world is not None
     await holding(cell)
     for finger in ("left", "right"):
         cell.world.faults.fail(finger, "disconnect")
@@ -240,60 +201,51 @@ async def declining(cell: Cell) -> None:
 
 
 @pytest.mark.parametrize("reach", [Cell.ready, closing, referencing, lifting, holding, lowering, faulty])
-def test_a_release_is_granted_in_every_phase(reach: Reach) -> None:
-    async def scene(cell: Cell) -> None:
-        await reach(cell)
-        await cell.release()
-        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
-        moving_mm = cell.truth.height_mm
-        await asyncio.sleep(0.2)
-        assert cell.truth.height_mm == moving_mm
-
-    play(Cell("wrench", 1, guard=BRISK), scene)
+@on_cell("wrench", 1, guard=BRISK)
+async def test_a_release_is_granted_in_every_phase(cell: Cell, reach: Reach) -> None:
+    await reach(cell)
+    await cell.release()
+    assert cell.width_mm == pytest.approx(85.0, abs=0.5)
+    moving_mm = cell.truth.height_mm
+    await asyncio.sleep(0.2)
+    assert cell.truth.height_mm == moving_mm
 
 
-def test_without_cameras_the_jaws_open_but_no_finger_sees_the_object_go() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await declining(cell)
-        await cell.submit(ReleaseRequest(confirm=True))
-        await cell.until(lambda: cell.phase is not Phase.FAULT)
-        await cell.until(lambda: cell.phase is Phase.FAULT)
-        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is FaultCode.NOT_RELEASED
-        assert "no finger can see whether the object is out" in fault.observed
-        for finger in ("left", "right"):
-            cell.world.faults.repair(finger, "disconnect")
-        await cell.until(lambda: not cell.service.waiting_for)
-        await asyncio.sleep(0.5)
-        await cell.submit(ClearRequest())
-        assert cell.phase is Phase.IDLE
-
-    play(Cell("wrench", 1, guard=BRISK), scene)
+@on_cell("wrench", 1, guard=BRISK)
+async def test_without_cameras_the_jaws_open_but_no_finger_sees_the_object_go(cell: Cell) -> None:
+    await declining(cell)
+    await cell.submit(ReleaseRequest(confirm=True))
+    await cell.until(lambda: cell.phase is not Phase.FAULT)
+    await cell.until(lambda: cell.phase is Phase.FAULT)
+    assert cell.width_mm == pytest.approx(85.0, abs=0.5)
+    fault = cell.service.state.fault
+    assert fault is not None
+    assert fault.code is FaultCode.NOT_RELEASED
+    assert "no finger can see whether the object is out" in fault.observed
+    for finger in ("left", "right"):
+        cell.world.faults.repair(finger, "disconnect")
+    await cell.until(lambda: not cell.service.waiting_for)
+    await asyncio.sleep(0.5)
+    await cell.submit(ClearRequest())
+    assert cell.phase is Phase.IDLE
 
 
-def test_the_way_down_of_an_arm_that_was_away_follows_from_its_position() -> None:
+@on_cell("wrench", 1, guard=BRISK, loop={"retry_s": 0.05})
+async def test_the_way_down_of_an_arm_that_was_away_follows_from_its_position(cell: Cell) -> None:
     """An arm counts its height from where it was found: after a lost connection only its position is comparable."""
-
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        await cell.submit(LiftRequest())
-        await asyncio.sleep(0.3)
-        cell.world.faults.fail("arm", "disconnect")
-        await asyncio.sleep(0.05)
-        cell.world.faults.repair("arm")
-        await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
-        await cell.until(lambda: not cell.service.waiting_for)
-        await asyncio.sleep(1.0)
-        lifts = [command for command in cell.arm.commands if command[1] == "lift"]
-        assert len(lifts) == 1
-        await cell.submit(ClearRequest())
-        await cell.until(cell.steady)
-        await cell.submit(LowerRequest())
-        await cell.until(lambda: cell.phase is Phase.HOLDING)
-        assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)
-
-    play(Cell("wrench", 1, guard=BRISK, loop={"retry_s": 0.05}), scene)
+    await cell.grasp()
+    await cell.submit(LiftRequest())
+    await asyncio.sleep(0.3)
+    cell.world.faults.fail("arm", "disconnect")
+    await asyncio.sleep(0.05)
+    cell.world.faults.repair("arm")
+    await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
+    await cell.until(lambda: not cell.service.waiting_for)
+    await asyncio.sleep(1.0)
+    lifts = [command for command in cell.arm.commands if command[1] == "lift"]
+    assert len(lifts) == 1
+    await cell.submit(ClearRequest())
+    await cell.until(cell.steady)
+    await cell.submit(LowerRequest())
+    await cell.until(lambda: cell.phase is Phase.HOLDING)
+    assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)

@@ -1,9 +1,8 @@
-"""An unexpected exception in a driver or a pipeline ends neither the guard nor the daemon, and is reported."""
+"""An unexpected exception in a driver, a pipeline or an observer is named, and ends neither guard nor daemon."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,16 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 import structlog
-from loop_cell import Cell, play
-from loop_doubles import FlatSensor
+from loop_cell import Cell, on_cell, play
 from sampled import sampled
 from structlog.testing import capture_logs
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest
-from slipguard.devices import Frame
-from slipguard.perception.estimate import Estimate
+from slipguard.daemon.loop.observers import Observers
 
 FAILURES = [
     TypeError("'NoneType' object is not subscriptable"),
@@ -38,119 +35,72 @@ def raising(error: BaseException) -> Callable[..., object]:
     return fail
 
 
-async def returning_a_dict() -> dict[str, float]:
-    return {"width_mm": 20.0}
-
-
 def reported(cell: Cell, device: str, what: str) -> bool:
     return any(line.startswith(f"{device}: error in ") and what in line for line in cell.service.event_log.lines)
 
 
 @pytest.mark.parametrize("error", FAILURES)
 @pytest.mark.parametrize(("device", "code"), [("gripper", FaultCode.GRIPPER_SILENT), ("arm", FaultCode.ARM_SILENT)])
-def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
-    device: str, code: FaultCode, error: BaseException
+@on_cell()
+async def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
+    cell: Cell, device: str, code: FaultCode, error: BaseException
 ) -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        driver = getattr(cell, device)
-        driver.state = raising(error)
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        fault = cell.service.state.fault
-        assert fault is not None
-        assert fault.code is code
-        await cell.until(lambda: reported(cell, device, type(error).__name__), 1.0)
-        assert reported(cell, device, f"loop_doubles.Logged{device.capitalize()} (test_driver_failures.py, line ")
-        assert not cell.service.devices[device].health.ready
-        del driver.state
-        await cell.until(lambda: not cell.service.waiting_for, 2.0)
-        await cell.submit(ClearRequest())
-        await cell.until(cell.steady)
-        assert [what for _, what, _ in cell.gripper.commands if what not in ("hold", "halt")] == []
-
-    play(Cell(), scene)
+    await cell.grasp()
+    driver = getattr(cell, device)
+    driver.state = raising(error)
+    await cell.faulted(code, 1.0)
+    await cell.until(lambda: reported(cell, device, type(error).__name__), 1.0)
+    assert reported(cell, device, f"loop_doubles.Logged{device.capitalize()} (test_driver_failures.py, line ")
+    assert not cell.service.devices[device].health.ready
+    del driver.state
+    await cell.until(lambda: not cell.service.waiting_for, 2.0)
+    await cell.submit(ClearRequest())
+    await cell.until(cell.steady)
+    assert [what for _, what, _ in cell.gripper.commands if what not in ("hold", "halt")] == []
 
 
 @pytest.mark.parametrize("error", sampled(FAILURES))
 @pytest.mark.parametrize("method", sampled(["next_frame", "open", "close"]))
-def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(method: str, error: BaseException) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        sensor = cell.sensors["left"]
-        setattr(sensor, method, raising(error))
-        if method != "next_frame":
-            cell.world.faults.fail("left", "disconnect")
-            await asyncio.sleep(0.2)
-            cell.world.faults.repair("left")
-        await asyncio.sleep(1.5)
-        if method != "close":
-            assert reported(cell, "left", f"{type(sensor).__qualname__} (test_driver_failures.py, line ")
-        await cell.lift()
-        assert cell.phase is Phase.HOLDING
-        delattr(sensor, method)
-        await cell.until(lambda: not cell.service.waiting_for, 3.0)
-
-    play(Cell("wrench", 1), scene)
-
-
-def test_remarks_that_raise_are_shown_as_an_error_of_the_driver() -> None:
-    class Sensor(FlatSensor):
-        @property
-        def remarks(self) -> tuple[str, ...]:
-            return (None,)[1]  # type: ignore[return-value]
-
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.sensors["left"].__class__ = Sensor
-        (remark,) = json.loads(await cell.handlers.state())["fingers"]["left"]["remarks"]
-        assert remark.startswith("error in test_driver_failures.")
-        assert "IndexError" in remark
-
-    play(Cell(), scene)
+@on_cell("wrench", 1)
+async def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(
+    cell: Cell, method: str, error: BaseException
+) -> None:
+    await cell.grasp()
+    sensor = cell.sensors["left"]
+    setattr(sensor, method, raising(error))
+    if method != "next_frame":
+        cell.world.faults.fail("left", "disconnect")
+        await asyncio.sleep(0.2)
+        cell.world.faults.repair("left")
+    await asyncio.sleep(1.5)
+    if method != "close":
+        assert reported(cell, "left", f"{type(sensor).__qualname__} (test_driver_failures.py, line ")
+    await cell.lift()
+    assert cell.phase is Phase.HOLDING
+    delattr(sensor, method)
+    await cell.until(lambda: not cell.service.waiting_for, 3.0)
 
 
 @pytest.mark.parametrize("error", sampled(FAILURES))
-def test_a_pipeline_that_raises_pauses_and_is_tried_again(error: BaseException) -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        pipeline, calls = cell.perceivers["left"][-1], 0
+@on_cell()
+async def test_a_pipeline_that_raises_pauses_and_is_tried_again(cell: Cell, error: BaseException) -> None:
+    await cell.grasp()
+    pipeline, calls = cell.perceivers["left"][-1], 0
 
-        def fail(frame: object) -> None:
-            nonlocal calls
-            calls += 1
-            raise error
+    def fail(frame: object) -> None:
+        nonlocal calls
+        calls += 1
+        raise error
 
-        pipeline.process = fail  # type: ignore[assignment,method-assign]
-        await asyncio.sleep(2.0)
-        assert 2 <= calls <= 6, "at 60 frames per second"
-        assert reported(cell, "left", "loop_doubles.Oracle (test_driver_failures.py, line ")
-        assert cell.phase is Phase.HOLDING, "the other finger guards"
-        del pipeline.process
-        await cell.until(lambda: not cell.service.waiting_for, 3.0)
-
-    play(Cell(), scene)
+    pipeline.process = fail  # type: ignore[assignment,method-assign]
+    await asyncio.sleep(2.0)
+    assert 2 <= calls <= 6, "at 60 frames per second"
+    assert reported(cell, "left", "loop_doubles.Oracle (test_driver_failures.py, line ")
+    assert cell.phase is Phase.HOLDING, "the other finger guards"
+    del pipeline.process
+    await cell.until(lambda: not cell.service.waiting_for, 3.0)
 
 
-def test_one_exception_of_a_pipeline_costs_one_frame() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        finger, pipeline, failed = cell.service.fingers["left"], cell.perceivers["left"][-1], False
-
-        def fail_once(frame: Frame) -> Estimate:
-            nonlocal failed
-            failed = True
-            del pipeline.process
-            raise ZeroDivisionError
-
-        pipeline.process = fail_once  # type: ignore[method-assign]
-        await cell.until(lambda: failed, 1.0)
-        await cell.until(lambda: finger.newest is not None, 0.1)
-
-    play(Cell(), scene)
-
-
-NOT_A_STATE = "loop_doubles.LoggedGripper: TypeError: state() returned dict, not GripperState"
 INVALID = [
     ("gripper", "width_mm", None),
     ("gripper", "width_mm", math.nan),
@@ -167,35 +117,25 @@ INVALID = [
 ]
 
 
-def test_a_state_of_the_wrong_type_is_an_error_of_the_driver() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        cell.gripper.state = returning_a_dict  # type: ignore[assignment,method-assign]
-        await cell.until(lambda: reported(cell, "gripper", NOT_A_STATE), 1.0)
-
-    play(Cell(), scene)
-
-
 @pytest.mark.parametrize(("device", "field", "value"), INVALID)
-def test_an_invalid_value_in_a_state_is_an_error_of_the_driver(device: str, field: str, value: object) -> None:
+@on_cell()
+async def test_an_invalid_value_in_a_state_is_an_error_of_the_driver(
+    cell: Cell, device: str, field: str, value: object
+) -> None:
     """It would end the loop, or make a silent device look alive."""
+    await cell.grasp()
+    driver = getattr(cell, device)
+    valid = driver.state
 
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        driver = getattr(cell, device)
-        valid = driver.state
+    async def state() -> object:
+        return replace(await valid(), **{field: value})
 
-        async def state() -> object:
-            return replace(await valid(), **{field: value})
-
-        driver.state = state
-        await cell.until(lambda: reported(cell, device, f"ValueError: state().{field} is "), 1.0)
-        await cell.handlers.state()
-        await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
-        del driver.state
-        await cell.until(lambda: not cell.service.waiting_for, 2.0)
-
-    play(Cell(), scene)
+    driver.state = state
+    await cell.until(lambda: reported(cell, device, f"ValueError: state().{field} is "), 1.0)
+    await cell.handlers.state()
+    await cell.until(lambda: cell.phase is Phase.FAULT, 1.0)
+    del driver.state
+    await cell.until(lambda: not cell.service.waiting_for, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -209,23 +149,21 @@ def test_an_invalid_value_in_a_state_is_an_error_of_the_driver(device: str, fiel
         None,
     ],
 )
-def test_an_invalid_frame_is_an_error_of_the_driver(change: dict[str, Any] | None) -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        sensor = cell.sensors["left"]
-        valid = sensor.next_frame
+@on_cell()
+async def test_an_invalid_frame_is_an_error_of_the_driver(cell: Cell, change: dict[str, Any] | None) -> None:
+    await cell.grasp()
+    sensor = cell.sensors["left"]
+    valid = sensor.next_frame
 
-        async def next_frame() -> object:
-            frame = await valid()
-            return None if change is None else replace(frame, **change)
+    async def next_frame() -> object:
+        frame = await valid()
+        return None if change is None else replace(frame, **change)
 
-        sensor.next_frame = next_frame  # type: ignore[method-assign,assignment]
-        await cell.until(lambda: reported(cell, "left", "loop_doubles.FlatSensor: "), 1.0)
-        assert cell.phase is Phase.HOLDING, "the other finger guards"
-        del sensor.next_frame
-        await cell.until(lambda: not cell.service.waiting_for, 3.0)
-
-    play(Cell(), scene)
+    sensor.next_frame = next_frame  # type: ignore[method-assign,assignment]
+    await cell.until(lambda: reported(cell, "left", "loop_doubles.FlatSensor: "), 1.0)
+    assert cell.phase is Phase.HOLDING, "the other finger guards"
+    del sensor.next_frame
+    await cell.until(lambda: not cell.service.waiting_for, 3.0)
 
 
 def test_the_log_gets_the_traceback_once() -> None:
@@ -240,3 +178,44 @@ def test_the_log_gets_the_traceback_once() -> None:
     (entry,) = [entry for entry in entries if "exc_info" in entry]
     assert entry["event"].startswith("gripper: error in loop_doubles.LoggedGripper")
     assert isinstance(entry["exc_info"], TypeError)
+
+
+def fails(value: object) -> None:
+    raise ZeroDivisionError(f"{type(value).__name__} cannot be recorded")
+
+
+OBSERVED: dict[str, Callable[[Cell], Observers]] = {  # type: ignore[type-arg]
+    "decisions": lambda cell: cell.service.observers,
+    "holds": lambda cell: cell.service.hold_observers,
+    "events": lambda cell: cell.service.event_log.listeners,
+    "frames": lambda cell: cell.service.fingers["left"].observers,
+}
+
+
+@pytest.mark.parametrize("observed", sampled(OBSERVED, every=2))
+def test_an_observer_that_raises_is_named_and_counted_and_the_guard_goes_on(observed: str) -> None:
+    seen: list[object] = []
+
+    async def scene(cell: Cell) -> None:
+        observers = OBSERVED[observed](cell)
+        observers.append(fails)
+        observers.append(seen.append)
+        await cell.grasp()
+        await cell.lift()
+        assert cell.phase is Phase.HOLDING
+        assert cell.truth.dropped is None
+        assert 0 < len(seen) == cell.service.observer_errors, "the observers behind it are called"
+        counters = await cell.handlers.counters()
+        assert f'"observer_errors": {len(seen)}'.encode() in counters
+        cell.observer_errors = len(seen)
+        observers.remove(fails)
+
+    structlog.reset_defaults()
+    with capture_logs() as entries:
+        cell = play(Cell("wrench", 1), scene)
+    named = [entry["event"] for entry in entries if "exc_info" in entry]
+    assert [name.partition(",")[0] for name in named] == [
+        "error in test_driver_failures.fails (test_driver_failures.py"
+    ]
+    reported = any("cannot be recorded; the guard goes on" in line for line in cell.service.event_log.lines)
+    assert reported is (observed != "events"), "an event about a failing listener would be the next one to fail"

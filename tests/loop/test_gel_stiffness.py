@@ -6,15 +6,10 @@ import asyncio
 from pathlib import Path
 
 import numpy as np
-import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell
 
 from slipguard.config import parse_config
-from slipguard.control.control_step import ControlState
 from slipguard.control.load_state import STIFFNESS_PRIOR, LogNormal
-from slipguard.control.messages import Observation, StepOutput
-from slipguard.control.state import GraspState, Phase
-from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.run import build_service
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.gel_stiffness import StiffnessSaver, restore_stiffness
@@ -34,24 +29,21 @@ def stored(tmp_path: Path, *known: tuple[str, LogNormal]) -> StateDir:
     return state_dir
 
 
-def test_what_a_lift_shows_is_stored_for_both_sensors(tmp_path: Path) -> None:
+@on_cell("wrench", 1)
+async def test_what_a_lift_shows_is_stored_for_both_sensors(cell: Cell, tmp_path: Path) -> None:
     state_dir = StateDir(tmp_path)
-
-    async def scene(cell: Cell) -> None:
-        saver = StiffnessSaver(state_dir, SERIALS, STIFFNESS_PRIOR, cell.messages.append, cell.messages.append)
-        cell.service.observers.append(saver.add_decision)
-        await cell.grasp()
-        await asyncio.sleep(0.2)
-        assert restore_stiffness(state_dir, SERIALS) == STIFFNESS_PRIOR, "nothing has been shown yet"
-        assert not (tmp_path / "sensors").exists()
-        await cell.lift()
-        await asyncio.sleep(2.0)
-        learned = cell.service.state.gel
-        assert learned != STIFFNESS_PRIOR
-        assert restore_stiffness(state_dir, SERIALS) == learned
-        assert restore_stiffness(state_dir, SERIALS[::-1]) == learned
-
-    play(Cell("wrench", 1), scene)
+    saver = StiffnessSaver(state_dir, SERIALS, STIFFNESS_PRIOR, cell.messages.append, cell.messages.append)
+    cell.service.observers.append(saver.add_decision)
+    await cell.grasp()
+    await asyncio.sleep(0.2)
+    assert restore_stiffness(state_dir, SERIALS) == STIFFNESS_PRIOR, "nothing has been shown yet"
+    assert not (tmp_path / "sensors").exists()
+    await cell.lift()
+    await asyncio.sleep(2.0)
+    learned = cell.service.state.gel
+    assert learned != STIFFNESS_PRIOR
+    assert restore_stiffness(state_dir, SERIALS) == learned
+    assert restore_stiffness(state_dir, SERIALS[::-1]) == learned
 
 
 def test_a_started_daemon_knows_its_gels(tmp_path: Path) -> None:
@@ -70,18 +62,6 @@ def test_a_started_daemon_knows_its_gels(tmp_path: Path) -> None:
     assert started()[0] == SOFT
 
 
-@pytest.mark.parametrize("serials", [SERIALS, ("D20479", ""), ("", ""), ("D20479", "D30000")])
-def test_a_pair_with_an_unknown_gel_begins_with_what_is_expected_of_any(
-    tmp_path: Path, serials: tuple[str, str]
-) -> None:
-    assert restore_stiffness(stored(tmp_path, ("D20479", SOFT)), serials) == STIFFNESS_PRIOR
-
-
-def test_sensors_of_two_pairs_have_the_mean_of_both_and_the_larger_spread(tmp_path: Path) -> None:
-    state_dir = stored(tmp_path, ("D20479", LogNormal(0.08, 0.5)), ("D20510", LogNormal(0.12, 0.4)))
-    assert restore_stiffness(state_dir, SERIALS) == LogNormal(pytest.approx(0.1), 0.5)
-
-
 def test_a_new_gel_is_unknown_and_another_image_of_the_same_is_not(tmp_path: Path) -> None:
     state_dir = StateDir(tmp_path)
     for serial in SERIALS:
@@ -91,22 +71,6 @@ def test_a_new_gel_is_unknown_and_another_image_of_the_same_is_not(tmp_path: Pat
     assert restore_stiffness(state_dir, SERIALS) == SOFT
     state_dir.save_background("D20479", IMAGE, new_gel=True)
     assert restore_stiffness(state_dir, SERIALS) == STIFFNESS_PRIOR
-
-
-def test_a_gel_that_is_replaced_while_the_daemon_runs_is_unknown_after_a_start(tmp_path: Path) -> None:
-    state_dir, lines = StateDir(tmp_path), list[str]()
-    learned = ControlState(GraspState(gel=SOFT))
-
-    async def scene() -> None:
-        saver = StiffnessSaver(state_dir, SERIALS, STIFFNESS_PRIOR, lines.append, lines.append)
-        state_dir.save_background("D20479", IMAGE, new_gel=True)
-        saver.add_decision(Decision(1.0, Phase.HOLDING, Observation(1.0), StepOutput(), learned))
-        await asyncio.sleep(0.1)
-
-    asyncio.run(scene())
-    assert state_dir.load_stiffness("D20510") == SOFT
-    assert state_dir.load_stiffness("D20479") is None
-    assert not lines
 
 
 def test_a_damaged_file_is_reported_and_a_serial_number_that_names_no_folder_is_no_obstacle(tmp_path: Path) -> None:

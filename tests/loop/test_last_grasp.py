@@ -10,24 +10,19 @@ from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
 import pytest
-from loop_cell import Cell, play, running
+from loop_cell import Cell, on_cell, running
 from sampled import sampled
 
-from slipguard.config import parse_config
 from slipguard.control.control_step import ControlState
-from slipguard.control.messages import Observation, StepOutput
-from slipguard.control.reports import Fault, FaultCode
-from slipguard.control.state import Adoption, GraspState, HandsOff, PersonNear, Phase, RememberedGrip
+from slipguard.control.state import Adoption, GraspState, Phase, RememberedGrip
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.daemon.run import build_service
 from slipguard.daemon.store import dated_file
 from slipguard.daemon.store.disk_writer import RETRY_S
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
-from slipguard.sim.world import World, WorldSettings
 
 MAY_HOLD = ControlState(GraspState(adoption=Adoption(outdated=True)))
 
@@ -36,33 +31,31 @@ def save_grip(cell: Cell, store: StateDir) -> None:
     cell.service.observers.append(LastGraspSaver(store, cell.messages.append, cell.messages.append).add_decision)
 
 
-def test_the_grip_is_saved_tightened_and_deleted(tmp_path: Path) -> None:
+@on_cell("wrench", 1)
+async def test_the_grip_is_saved_tightened_and_deleted(cell: Cell, tmp_path: Path) -> None:
     store = StateDir(tmp_path)
-
-    async def scene(cell: Cell) -> None:
-        save_grip(cell, store)
-        await cell.grasp()
-        await asyncio.sleep(0.1)
-        first = store.load_last_grasp()
-        assert first is not None
-        assert first.force_n == cell.service.state.grip.target_n
-        await cell.lift()
-        await asyncio.sleep(0.5)
-        tightened = store.load_last_grasp()
-        assert tightened is not None
-        assert tightened.force_n == cell.service.state.grip.target_n > first.force_n
-        assert restore_control_state(store).grasp.adoption.remembered == RememberedGrip(
-            tightened.force_n, tightened.width_mm, applied=True, lift_start_mm=(0.0, 0.0, 0.0)
-        )
-        await cell.lower()
-        await cell.release()
-        await asyncio.sleep(0.1)
-        assert store.load_last_grasp() is None
-
-    play(Cell("wrench", 1), scene)
+    save_grip(cell, store)
+    await cell.grasp()
+    await asyncio.sleep(0.1)
+    first = store.load_last_grasp()
+    assert first is not None
+    assert first.force_n == cell.service.state.grip.target_n
+    await cell.lift()
+    await asyncio.sleep(0.5)
+    tightened = store.load_last_grasp()
+    assert tightened is not None
+    assert tightened.force_n == cell.service.state.grip.target_n > first.force_n
+    assert restore_control_state(store).grasp.adoption.remembered == RememberedGrip(
+        tightened.force_n, tightened.width_mm, applied=True, lift_start_mm=(0.0, 0.0, 0.0)
+    )
+    await cell.lower()
+    await cell.release()
+    await asyncio.sleep(0.1)
+    assert store.load_last_grasp() is None
 
 
-def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(tmp_path: Path) -> None:
+@on_cell("wrench", 1)
+async def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(cell: Cell, tmp_path: Path) -> None:
     class Counting(StateDir):
         writes = 0
 
@@ -71,45 +64,19 @@ def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(tmp_path: Path)
             super().save_last_grasp(last)
 
     store = Counting(tmp_path)
-
-    async def scene(cell: Cell) -> None:
-        saver = LastGraspSaver(store, cell.messages.append, cell.messages.append)
-        decisions: list[Decision] = []
-        cell.service.observers.append(decisions.append)
-        await cell.grasp()
-        held = decisions[-1]
-        for minutes in range(0, 21, 4):
-            saver.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
-            await asyncio.sleep(0.1)
-        assert store.writes == 3, "at 0, 8 and 16 minutes"
-
-    play(Cell("wrench", 1), scene)
+    saver = LastGraspSaver(store, cell.messages.append, cell.messages.append)
+    decisions: list[Decision] = []
+    cell.service.observers.append(decisions.append)
+    await cell.grasp()
+    held = decisions[-1]
+    for minutes in range(0, 21, 4):
+        saver.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
+        await asyncio.sleep(0.1)
+    assert store.writes == 3, "at 0, 8 and 16 minutes"
 
 
-def test_a_disk_that_fails_is_reported_and_does_not_stop_the_grasp() -> None:
-    class Full:
-        def save_last_grasp(self, last: LastGrasp) -> None:
-            raise ConfigError("last_grasp.json: cannot be written (No space left on device)")
-
-        def load_last_grasp(self) -> LastGrasp | None:
-            return None
-
-        def delete_last_grasp(self) -> None:
-            raise OSError(30, "Read-only file system")
-
-    reported: list[str] = []
-
-    async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(Full(), reported.append, reported.append).add_decision)
-        await cell.grasp()
-        await asyncio.sleep(0.2)
-
-    play(Cell("wrench", 1), scene)
-    assert any("No space left" in line for line in reported)
-    assert len(reported) <= 3
-
-
-def test_a_repaired_disk_gets_the_grip_though_the_force_has_not_changed(tmp_path: Path) -> None:
+@on_cell("wrench", 1)
+async def test_a_repaired_disk_gets_the_grip_though_the_force_has_not_changed(cell: Cell, tmp_path: Path) -> None:
     class Repaired(StateDir):
         writes = 0
 
@@ -120,49 +87,41 @@ def test_a_repaired_disk_gets_the_grip_though_the_force_has_not_changed(tmp_path
             super().save_last_grasp(last)
 
     store, reported = Repaired(tmp_path), list[str]()
-
-    async def scene(cell: Cell) -> None:
-        cell.service.observers.append(LastGraspSaver(store, reported.append, reported.append).add_decision)
-        await cell.grasp()
-        await cell.until(lambda: store.writes > 0)
-        before, force_n = store.writes, cell.service.state.grip.target_n
-        await asyncio.sleep(1.0)
-        assert (store.writes, before) == (1, 1), "not at once again"
-        await asyncio.sleep(3 * RETRY_S)
-        last = store.load_last_grasp()
-        assert last is not None
-        assert last.force_n == force_n == cell.service.state.grip.target_n
-
-    play(Cell("wrench", 1), scene)
+    cell.service.observers.append(LastGraspSaver(store, reported.append, reported.append).add_decision)
+    await cell.grasp()
+    await cell.until(lambda: store.writes > 0)
+    before, force_n = store.writes, cell.service.state.grip.target_n
+    await asyncio.sleep(1.0)
+    assert (store.writes, before) == (1, 1), "not at once again"
+    await asyncio.sleep(3 * RETRY_S)
+    last = store.load_last_grasp()
+    assert last is not None
+    assert last.force_n == force_n == cell.service.state.grip.target_n
     assert [line.partition(" for a restart")[0] for line in reported] == [
         "the grip could not be saved",
         "the grip can be saved",
     ]
 
 
-def test_a_force_counts_as_applied_once_the_gripper_confirms_it(tmp_path: Path) -> None:
+@on_cell("wrench", 1)
+async def test_a_force_counts_as_applied_once_the_gripper_confirms_it(cell: Cell, tmp_path: Path) -> None:
     """A daemon killed between a command and its effect must leave nothing behind that looks like a firm grip."""
     store = StateDir(tmp_path)
-
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        save_grip(cell, store)
-        await cell.grasp()
-        await asyncio.sleep(0.1)
-        assert cell.service.state.grip.target_n == pytest.approx(40.0, abs=0.85)
-        assert (await saved_grip(store)).applied
-        cell.world.faults.fail("gripper", "timeout")
-        await cell.submit(MoveJawsRequest(force_n=120.0))
-        await asyncio.sleep(0.15)
-        not_applied = await saved_grip(store)
-        assert not_applied.force_n == pytest.approx(120.0, abs=0.85)
-        assert not not_applied.applied
-        cell.world.faults.repair("gripper")
-        await cell.until(lambda: cell.truth.force_n > 115.0)
-        await asyncio.sleep(0.3)
-        assert (await saved_grip(store)).applied
-
-    play(Cell("wrench", 1), scene)
+    save_grip(cell, store)
+    await cell.grasp()
+    await asyncio.sleep(0.1)
+    assert cell.service.state.grip.target_n == pytest.approx(40.0, abs=0.85)
+    assert (await saved_grip(store)).applied
+    cell.world.faults.fail("gripper", "timeout")
+    await cell.submit(MoveJawsRequest(force_n=120.0))
+    await asyncio.sleep(0.15)
+    not_applied = await saved_grip(store)
+    assert not_applied.force_n == pytest.approx(120.0, abs=0.85)
+    assert not not_applied.applied
+    cell.world.faults.repair("gripper")
+    await cell.until(lambda: cell.truth.force_n > 115.0)
+    await asyncio.sleep(0.3)
+    assert (await saved_grip(store)).applied
 
 
 async def saved_grip(store: StateDir) -> RememberedGrip:
@@ -173,74 +132,35 @@ async def saved_grip(store: StateDir) -> RememberedGrip:
     return grip
 
 
-def test_a_latched_fault_is_saved_until_it_is_cleared(tmp_path: Path) -> None:
+@on_cell("wrench", 1, watched=False)
+async def test_a_latched_fault_is_saved_until_it_is_cleared(cell: Cell, tmp_path: Path) -> None:
     store = StateDir(tmp_path)
-
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        save_grip(cell, store)
-        await cell.grasp()
-        grip = await saved_grip(store)
-        cell.world.faults.fail("gripper", "disconnect")
-        await cell.until(lambda: cell.phase is Phase.FAULT)
-        await asyncio.sleep(0.1)
-        grasp = restore_control_state(store).grasp
-        assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
-        assert grasp.adoption.remembered == grip, "as of the gripper's last response"
-        old = restore_control_state(store, datetime.now(UTC) + timedelta(days=3)).grasp
-        assert (old.phase, old.fault, old.adoption.remembered) == (Phase.FAULT, grasp.fault, None)
-        cell.world.faults.repair("gripper")
-        await cell.ready()
-        await cell.submit(ClearRequest())
-        await cell.until(cell.steady)
-        assert await saved_grip(store) == grip
-        assert restore_control_state(store).grasp.fault is None
-        cell.world.clear(cell.now_s)
-        await cell.until(lambda: cell.phase is Phase.FAULT)
-        await cell.until(lambda: restore_control_state(store).grasp.fault is not None)
-        await cell.submit(ReleaseRequest(confirm=True))
-        await asyncio.sleep(0.1)
-        assert restore_control_state(store).grasp.fault is None
-        await cell.until(lambda: cell.phase is Phase.IDLE)
-        await asyncio.sleep(0.1)
-        assert store.load_last_grasp() is None
-
-    play(Cell("wrench", 1, watched=False), scene)
-
-
-def test_a_fault_without_a_gripper_is_saved_with_the_grip_of_before_the_restart(tmp_path: Path) -> None:
-    store = StateDir(tmp_path)
-    grip = RememberedGrip(90.0, 18.0, applied=False, limit_n=95.0)
-    fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
-
-    async def scene() -> None:
-        saver = LastGraspSaver(store, list[str]().append, list[str]().append)
-        before = ControlState(GraspState(adoption=Adoption(remembered=grip), person=PersonNear(True)))
-        rotation = Decision(1.0, Phase.IDLE, Observation(1.0), StepOutput(), before)
-        saver.add_decision(rotation)
-        await asyncio.sleep(0.1)
-        assert store.load_last_grasp() is None, "nothing is known yet"
-        saver.add_decision(replace(rotation, phase=Phase.FAULT, output=StepOutput(fault=fault)))
-        await asyncio.sleep(0.1)
-
-    asyncio.run(scene())
-    assert restore_control_state(store).grasp == GraspState(
-        Phase.FAULT, adoption=Adoption(remembered=grip), person=PersonNear(True), fault=fault
-    )
-
-
-def test_a_requested_release_is_stored_with_its_fault(tmp_path: Path) -> None:
-    store = StateDir(tmp_path)
-    fault = Fault(FaultCode.GRIPPER_STUCK, "not open 2.0 s after the release", "look at the gripper")
-
-    async def scene() -> None:
-        saver = LastGraspSaver(store, list[str]().append, list[str]().append)
-        grasp = GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
-        saver.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=fault), ControlState(grasp)))
-        await asyncio.sleep(0.1)
-
-    asyncio.run(scene())
-    assert restore_control_state(store).grasp == GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=fault)
+    save_grip(cell, store)
+    await cell.grasp()
+    grip = await saved_grip(store)
+    cell.world.faults.fail("gripper", "disconnect")
+    await cell.until(lambda: cell.phase is Phase.FAULT)
+    await asyncio.sleep(0.1)
+    grasp = restore_control_state(store).grasp
+    assert (grasp.phase, grasp.fault) == (Phase.FAULT, cell.service.state.fault)
+    assert grasp.adoption.remembered == grip, "as of the gripper's last response"
+    old = restore_control_state(store, datetime.now(UTC) + timedelta(days=3)).grasp
+    assert (old.phase, old.fault, old.adoption.remembered) == (Phase.FAULT, grasp.fault, None)
+    cell.world.faults.repair("gripper")
+    await cell.ready()
+    await cell.submit(ClearRequest())
+    await cell.until(cell.steady)
+    assert await saved_grip(store) == grip
+    assert restore_control_state(store).grasp.fault is None
+    cell.world.clear(cell.now_s)
+    await cell.until(lambda: cell.phase is Phase.FAULT)
+    await cell.until(lambda: restore_control_state(store).grasp.fault is not None)
+    await cell.submit(ReleaseRequest(confirm=True))
+    await asyncio.sleep(0.1)
+    assert restore_control_state(store).grasp.fault is None
+    await cell.until(lambda: cell.phase is Phase.IDLE)
+    await asyncio.sleep(0.1)
+    assert store.load_last_grasp() is None
 
 
 SAVED = '{"format": 5, "force_n": 40.0, "width_mm": 18.0, "saved_at": '
@@ -276,12 +196,6 @@ def test_after_a_damaged_file_it_is_unknown_whether_something_is_held(
     assert f"(kept as {aside.name})" in line
     assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD, "at each start until a grip"
     assert len(lines) == 1
-
-
-@pytest.mark.parametrize("saved_at", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
-def test_a_grip_of_another_age_and_time_zone_is_not_used(tmp_path: Path, saved_at: str) -> None:
-    (tmp_path / "last_grasp.json").write_text(SAVED + f'"{saved_at}", "boot_id": "another"}}')
-    assert restore_control_state(StateDir(tmp_path), warning=list[str]().append) == MAY_HOLD
 
 
 def a_folder(path: Path) -> None:
@@ -344,39 +258,6 @@ def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path
     run_virtual(scene())
 
 
-@pytest.mark.parametrize("cleared", [False, True])
-def test_after_a_damaged_file_a_fault_does_not_say_that_nothing_was_held(tmp_path: Path, cleared: bool) -> None:
-    """The gripper has not been active since the start: what it holds stays unknown over a second start."""
-    (tmp_path / "last_grasp.json").write_text("not JSON")
-    store = StateDir(tmp_path)
-    started = restore_control_state(store, warning=list[str]().append)
-    fault = Fault(FaultCode.FRAMES_LOST, "no frames for 0.3 s", "check the cable")
-
-    async def scene() -> None:
-        saver = LastGraspSaver(store, list[str]().append, list[str]().append)
-        latched = ControlState(replace(started.grasp, phase=Phase.FAULT, fault=fault))
-        saver.add_decision(Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=fault), latched))
-        await asyncio.sleep(0.1)
-        if cleared:
-            saver.add_decision(Decision(2.0, Phase.IDLE, Observation(2.0), StepOutput(), started))
-            await asyncio.sleep(0.1)
-
-    asyncio.run(scene())
-    again = restore_control_state(store).grasp
-    assert again.adoption == Adoption(outdated=True)
-    assert again.fault == (None if cleared else fault)
-
-
-def test_the_daemon_reports_a_damaged_file(tmp_path: Path) -> None:
-    (tmp_path / "last_grasp.json").write_text('{"format": 5, "force_')
-    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
-    config = parse_config(raw | {"state": {"directory": str(tmp_path)}}, where="test", sim=True)
-    service = build_service(config, world=World(WorldSettings(), seed=0))
-    service.close()
-    assert service.event_log.lines[0].startswith("it is unknown what was held before the restart: ")
-    assert service.state == MAY_HOLD.grasp
-
-
 def test_an_old_file_only_says_that_something_may_be_held(tmp_path: Path) -> None:
     store, now = StateDir(tmp_path), datetime.now(UTC)
     store.save_last_grasp(LastGrasp(saved_at=now - timedelta(hours=2), force_n=90.0, width_mm=18.0))
@@ -387,24 +268,20 @@ def test_an_old_file_only_says_that_something_may_be_held(tmp_path: Path) -> Non
     )
 
 
-def test_a_stop_for_a_person_is_remembered_until_clear(tmp_path: Path) -> None:
+@on_cell("wrench", 1)
+async def test_a_stop_for_a_person_is_remembered_until_clear(cell: Cell, tmp_path: Path) -> None:
     """A daemon that starts with a person in the jaws adds no force until a person requests it."""
     store = StateDir(tmp_path)
-
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        save_grip(cell, store)
-        await cell.grasp()
-        cell.world.faults.fail("arm", "protective_stop")
-        await asyncio.sleep(0.3)
-        assert restore_control_state(store).grasp.person.now
-        cell.world.faults.repair("arm")
-        await asyncio.sleep(0.3)
-        assert restore_control_state(store).grasp.person.forbids_force
-        await cell.submit(ClearRequest())
-        await cell.until(lambda: not restore_control_state(store).grasp.person.forbids_force)
-
-    play(Cell("wrench", 1), scene)
+    save_grip(cell, store)
+    await cell.grasp()
+    cell.world.faults.fail("arm", "protective_stop")
+    await asyncio.sleep(0.3)
+    assert restore_control_state(store).grasp.person.now
+    cell.world.faults.repair("arm")
+    await asyncio.sleep(0.3)
+    assert restore_control_state(store).grasp.person.forbids_force
+    await cell.submit(ClearRequest())
+    await cell.until(lambda: not restore_control_state(store).grasp.person.forbids_force)
 
 
 @pytest.mark.parametrize("ahead", [timedelta(minutes=1), timedelta(days=400)])
@@ -418,8 +295,9 @@ def test_a_file_from_the_future_counts_as_an_old_one(tmp_path: Path, ahead: time
 
 
 @pytest.mark.parametrize("step", sampled([timedelta(hours=-5), timedelta(minutes=-1), timedelta(hours=5)]))
-def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
-    tmp_path: Path, step: timedelta, monkeypatch: pytest.MonkeyPatch
+@on_cell("wrench", 1)
+async def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
+    cell: Cell, tmp_path: Path, step: timedelta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = StateDir(tmp_path)
 
@@ -428,17 +306,14 @@ def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
         def now(cls, tz: tzinfo | None = None) -> datetime:  # type: ignore[override]
             return datetime.now(tz) + step
 
-    async def scene(cell: Cell) -> None:
-        save_grip(cell, store)
-        await cell.grasp()
-        before = await saved_grip(store)
-        monkeypatch.setattr(dated_file, "datetime", Stepped)
-        assert await saved_grip(store) == before
-        await cell.lift()
-        await asyncio.sleep(0.5)
-        assert cell.phase is Phase.HOLDING
-        assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
-        monkeypatch.undo()
-        assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
-
-    play(Cell("wrench", 1), scene)
+    save_grip(cell, store)
+    await cell.grasp()
+    before = await saved_grip(store)
+    monkeypatch.setattr(dated_file, "datetime", Stepped)
+    assert await saved_grip(store) == before
+    await cell.lift()
+    await asyncio.sleep(0.5)
+    assert cell.phase is Phase.HOLDING
+    assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
+    monkeypatch.undo()
+    assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell, play
 from sampled import sampled
 
 from slipguard.control.control_step import control_step
@@ -13,7 +13,6 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import GraspRequest, LiftRequest
 from slipguard.daemon.loop.service import Controller
 from slipguard.errors import CommandRefused
-from slipguard.sim_lifts.campaign import unguarded_step
 
 BRISK = {"lift_height_mm": 60.0, "lift_speed_mm_s": 100.0, "tuning": {"lower_speed_mm_s": 150.0}}
 
@@ -57,83 +56,54 @@ def test_an_object_is_carried_and_put_down(object_name: str, seed: int) -> None:
     assert cell.service.deadlines_missed == 0
 
 
-@pytest.mark.parametrize("object_name", ["bar", "wrench"])
-def test_without_the_guard_it_rotates_far(object_name: str) -> None:
-    cell, rotations = carried(object_name, 1, controller=unguarded_step, height_mm=120.0)
-    assert max(rotations) > 25.0
-    assert [force_n for _, what, force_n in cell.gripper.commands if what == "hold"] == [pytest.approx(40.0, abs=0.9)]
-
-
 DECLINED = {"left": "round contact", "right": "round contact"}
 
 
-def test_an_object_without_estimate_is_gripped_firmly_before_the_lift() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        assert cell.service.state.held.no_estimate is not None
-        assert cell.truth.applied_n >= 100.0
-        assert cell.truth.force_n >= 85.0  # a gripper may be 10 % weaker than it says
-        assert cell.truth.height_mm == 0.0
-        await cell.lift()
-        await asyncio.sleep(0.5)
-        assert cell.phase is Phase.HOLDING
-        assert cell.truth.dropped is None
-
-    play(Cell("ball", 1, guard=BRISK, declined=DECLINED), scene)
+@on_cell("ball", 1, guard=BRISK, declined=DECLINED)
+async def test_an_object_without_estimate_is_gripped_firmly_before_the_lift(cell: Cell) -> None:
+    await cell.grasp()
+    assert cell.service.state.held.no_estimate is not None
+    assert cell.truth.applied_n >= 100.0
+    assert cell.truth.force_n >= 85.0  # a gripper may be 10 % weaker than it says
+    assert cell.truth.height_mm == 0.0
+    await cell.lift()
+    await asyncio.sleep(0.5)
+    assert cell.phase is Phase.HOLDING
+    assert cell.truth.dropped is None
 
 
-def test_it_is_not_lifted_before_the_firm_grip_is_there() -> None:
+@on_cell("ball", 1, guard=BRISK, declined=DECLINED)
+async def test_it_is_not_lifted_before_the_firm_grip_is_there(cell: Cell) -> None:
     """Asked in the very tick in which the force is commanded, when the gripper's last word is still that it rests."""
-
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await cell.submit(GraspRequest())
-        await cell.until(lambda: cell.phase is Phase.REFERENCE)
-        holding = asyncio.Event()
-        cell.service.observers.append(lambda decision: decision.phase is Phase.HOLDING and holding.set())
-        await holding.wait()
-        with pytest.raises(CommandRefused, match="the grip is not firm yet"):
-            await cell.submit(LiftRequest())
-        await cell.until(cell.steady)
+    await cell.ready()
+    await cell.submit(GraspRequest())
+    await cell.until(lambda: cell.phase is Phase.REFERENCE)
+    holding = asyncio.Event()
+    cell.service.observers.append(lambda decision: decision.phase is Phase.HOLDING and holding.set())
+    await holding.wait()
+    with pytest.raises(CommandRefused, match="the grip is not firm yet"):
         await cell.submit(LiftRequest())
-        assert cell.truth.force_n >= 85.0
-
-    play(Cell("ball", 1, guard=BRISK, declined=DECLINED), scene)
-
-
-def test_an_object_without_estimate_is_not_lifted_where_that_is_refused() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        with pytest.raises(CommandRefused, match=r"no rotation estimate \(left finger: round contact"):
-            await cell.submit(LiftRequest())
-        assert cell.truth.applied_n < 45.0
-        assert not [command for command in cell.arm.commands if command[1] == "lift"]
-        await cell.release()
-
-    play(Cell("ball", 1, guard=BRISK | {"on_no_estimate": "refuse"}, declined=DECLINED), scene)
+    await cell.until(cell.steady)
+    await cell.submit(LiftRequest())
+    assert cell.truth.force_n >= 85.0
 
 
-def test_one_finger_that_sees_is_enough() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        assert cell.service.state.held.referenced
-        await cell.lift()
-        await asyncio.sleep(0.5)
-        assert cell.phase is Phase.HOLDING
-        assert abs(cell.truth.rotation_deg) < 25.0
+@on_cell("ball", 1, guard=BRISK | {"on_no_estimate": "refuse"}, declined=DECLINED)
+async def test_an_object_without_estimate_is_not_lifted_where_that_is_refused(cell: Cell) -> None:
+    await cell.grasp()
+    with pytest.raises(CommandRefused, match=r"no rotation estimate \(left finger: round contact"):
+        await cell.submit(LiftRequest())
+    assert cell.truth.applied_n < 45.0
+    assert not [command for command in cell.arm.commands if command[1] == "lift"]
+    await cell.release()
 
-    cell = play(Cell("wrench", 1, guard=BRISK, declined={"right": "round contact"}), scene)
+
+@on_cell("wrench", 1, guard=BRISK, declined={"right": "round contact"})
+async def test_one_finger_that_sees_is_enough(cell: Cell) -> None:
+    await cell.grasp()
+    assert cell.service.state.held.referenced
+    await cell.lift()
+    await asyncio.sleep(0.5)
+    assert cell.phase is Phase.HOLDING
+    assert abs(cell.truth.rotation_deg) < 25.0
     assert any("by one finger only (right finger: round contact)" in line for line in cell.messages)
-
-
-def test_closing_on_nothing_ends_in_idle_and_can_be_tried_again() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        cell.world.clear(cell.now_s)
-        await cell.ready()
-        await cell.submit(GraspRequest())
-        await cell.until(lambda: cell.phase is Phase.IDLE)
-        assert "the gripper closed on nothing" in cell.messages
-        await cell.release()
-
-    play(Cell(), scene)

@@ -6,13 +6,12 @@ import asyncio
 import json
 import os
 import signal
-import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell
 
 from slipguard.cli.run import bind_api
 from slipguard.config import Config, parse_config
@@ -73,133 +72,88 @@ def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
     assert refusal_reason(change, new, CurrentGrip(Phase.HOLDING, True, 40.0)) == "not possible while the object slips"
 
 
-def test_thresholds_take_effect_while_an_object_is_held() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await cell.grasp()
-        assert await reloader(
-            cell, lambda: config(guard={"force_max_n": 115.0, "tuning": {"slip_rate_deg_s": 2.5}})
-        ).reload()
-        assert cell.service.config.guard.force_max_n == 115.0
-        assert cell.service.event_log.lines[-1] == (
-            "configuration reloaded: guard.force_max_n: 130.0 -> 115.0, guard.tuning.slip_rate_deg_s: 8.0 -> 2.5"
-        )
-        await cell.lift()
-        assert cell.phase is Phase.HOLDING
-        assert cell.gripper.commands
-        assert all(value <= 115.0 for _, what, value in cell.gripper.commands if what == "hold")
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_thresholds_take_effect_while_an_object_is_held(cell: Cell) -> None:
+    await cell.ready()
+    await cell.grasp()
+    assert await reloader(
+        cell, lambda: config(guard={"force_max_n": 115.0, "tuning": {"slip_rate_deg_s": 2.5}})
+    ).reload()
+    assert cell.service.config.guard.force_max_n == 115.0
+    assert cell.service.event_log.lines[-1] == (
+        "configuration reloaded: guard.force_max_n: 130.0 -> 115.0, guard.tuning.slip_rate_deg_s: 8.0 -> 2.5"
+    )
+    await cell.lift()
+    assert cell.phase is Phase.HOLDING
+    assert cell.gripper.commands
+    assert all(value <= 115.0 for _, what, value in cell.gripper.commands if what == "hold")
 
 
-def test_a_force_limit_below_the_present_grip_is_refused_with_the_whole_file() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await cell.grasp()
-        held_n = current_grip(cell.service).force_n
-        assert held_n >= 40.0
-        low = {
-            "force_max_n": 35.0,
-            "no_estimate_force_n": 30.0,
-            "first_force_n": 20.0,
-            "tuning": {"slip_rate_deg_s": 3.0},
-        }
-        before = cell.service.config
-        assert not await reloader(cell, lambda: config(guard=low, recording={"ring_s": 60})).reload()
-        assert cell.service.config is before
-        line = cell.service.event_log.lines[-1]
-        assert line == (
-            "configuration not reloaded, the old one stays in use: guard.force_max_n: 130.0 -> 35.0 "
-            f"the object is held with {held_n:.0f} N; support it, then release it"
-        )
-        await cell.release()
-        assert await reloader(cell, lambda: config(guard=low)).reload()
-        assert cell.service.config.guard.force_max_n == 35.0
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_a_force_limit_below_the_present_grip_is_refused_with_the_whole_file(cell: Cell) -> None:
+    await cell.ready()
+    await cell.grasp()
+    held_n = current_grip(cell.service).force_n
+    assert held_n >= 40.0
+    low = {
+        "force_max_n": 35.0,
+        "no_estimate_force_n": 30.0,
+        "first_force_n": 20.0,
+        "tuning": {"slip_rate_deg_s": 3.0},
+    }
+    before = cell.service.config
+    assert not await reloader(cell, lambda: config(guard=low, recording={"ring_s": 60})).reload()
+    assert cell.service.config is before
+    line = cell.service.event_log.lines[-1]
+    assert line == (
+        "configuration not reloaded, the old one stays in use: guard.force_max_n: 130.0 -> 35.0 "
+        f"the object is held with {held_n:.0f} N; support it, then release it"
+    )
+    await cell.release()
+    assert await reloader(cell, lambda: config(guard=low)).reload()
+    assert cell.service.config.guard.force_max_n == 35.0
 
 
-def test_during_a_lift_the_old_one_stays() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await cell.grasp()
-        lifting = asyncio.create_task(cell.lift())
-        await cell.until(lambda: cell.phase is Phase.LIFTING)
-        assert not await reloader(cell, lambda: config(guard={"tuning": {"slip_rate_deg_s": 3.0}})).reload()
-        assert "guard.tuning.slip_rate_deg_s: 8.0 -> 3.0 not possible while lifting" in cell.service.event_log.lines[-1]
-        assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
-        await lifting
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_during_a_lift_the_old_one_stays(cell: Cell) -> None:
+    await cell.ready()
+    await cell.grasp()
+    lifting = asyncio.create_task(cell.lift())
+    await cell.until(lambda: cell.phase is Phase.LIFTING)
+    assert not await reloader(cell, lambda: config(guard={"tuning": {"slip_rate_deg_s": 3.0}})).reload()
+    assert "guard.tuning.slip_rate_deg_s: 8.0 -> 3.0 not possible while lifting" in cell.service.event_log.lines[-1]
+    assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
+    await lifting
 
 
 @pytest.mark.parametrize("failure", [ConfigError("config.toml: guard.mode = 'x': wrong"), RuntimeError("a driver's")])
-def test_a_file_that_cannot_be_read_changes_nothing(failure: Exception) -> None:
+@on_cell()
+async def test_a_file_that_cannot_be_read_changes_nothing(cell: Cell, failure: Exception) -> None:
     def read() -> Config:
         raise failure
 
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        before = cell.service.config
-        assert not await reloader(cell, read).reload()
-        assert cell.service.config is before
-        assert "the old one stays in use: " in cell.service.event_log.lines[-1]
-        assert cell.phase is Phase.IDLE
-
-    play(Cell(), scene)
+    await cell.ready()
+    before = cell.service.config
+    assert not await reloader(cell, read).reload()
+    assert cell.service.config is before
+    assert "the old one stays in use: " in cell.service.event_log.lines[-1]
+    assert cell.phase is Phase.IDLE
 
 
-def test_systemd_is_notified_of_the_reload_and_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
-        systemd.bind(str(tmp_path / "notify"))
-
-        async def scene(cell: Cell) -> None:
-            await cell.ready()
-            monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-            await reloader(cell, config).reload()
-            monkeypatch.delenv("NOTIFY_SOCKET")
-
-        play(Cell(), scene)
-        messages = [systemd.recv(200).decode() for _ in range(2)]
-    assert messages[0].startswith("RELOADING=1\nMONOTONIC_USEC=")
-    assert messages[1] == "READY=1\nSTATUS=idle"
-
-
-def test_a_simulated_cell_keeps_no_configuration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
-
-    async def main() -> None:
-        running, simulated = asyncio.Event(), config(state={"directory": str(tmp_path)}, recording={"enabled": False})
-
-        async def stop_after_some_cycles(service: Any) -> None:
-            cycles = iter(range(5))
-            service.observers.append(lambda decision: next(cycles, None) is None and running.set())
-            await running.wait()
-            os.kill(os.getpid(), signal.SIGTERM)
-
-        async with asyncio.timeout(30.0):
-            await root.run(simulated, bind_api, world=World(WorldSettings(), seed=0), extra_task=stop_after_some_cycles)
-
-    asyncio.run(main())
-    assert not (tmp_path / "last_config.json").exists()
-
-
-def test_with_the_last_valid_configuration_nothing_new_is_gripped_or_lifted() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        await cell.lift()
-        cell.service.config_problem = "config.toml: guard.forse: no such key. Correct the file"
-        for request in (GraspRequest(), LiftRequest(), ActivateRequest(confirm=True), MoveJawsRequest(width_mm=60.0)):
-            with pytest.raises(CommandRefused, match=f"cannot {request.kind}: config.toml: guard.forse"):
-                await cell.submit(request)
-        await cell.submit(GuardRequest(on=True))
-        await cell.lower()
-        assert cell.phase is Phase.HOLDING
-        await cell.release()
-        assert await reloader(cell, config).reload()
-        await cell.grasp()
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_with_the_last_valid_configuration_nothing_new_is_gripped_or_lifted(cell: Cell) -> None:
+    await cell.grasp()
+    await cell.lift()
+    cell.service.config_problem = "config.toml: guard.forse: no such key. Correct the file"
+    for request in (GraspRequest(), LiftRequest(), ActivateRequest(confirm=True), MoveJawsRequest(width_mm=60.0)):
+        with pytest.raises(CommandRefused, match=f"cannot {request.kind}: config.toml: guard.forse"):
+            await cell.submit(request)
+    await cell.submit(GuardRequest(on=True))
+    await cell.lower()
+    assert cell.phase is Phase.HOLDING
+    await cell.release()
+    assert await reloader(cell, config).reload()
+    await cell.grasp()
 
 
 def test_sighup_reads_the_file_begins_a_new_recording_and_keeps_the_configuration(

@@ -6,7 +6,7 @@ import asyncio
 import itertools
 
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
@@ -16,195 +16,138 @@ from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.errors import CommandRefused, DeviceTimeout
 
 
-def test_a_grip_that_was_not_taken_is_commanded_again() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")] * 2
-        await cell.grasp()
-        assert [what for _, what, _ in cell.gripper.commands] == ["hold"] * 3
-        times_s = [sent_s for sent_s, _, _ in cell.gripper.commands]
-        assert max(later - earlier for earlier, later in itertools.pairwise(times_s)) < 0.2
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_grip_that_was_not_taken_is_commanded_again(cell: Cell) -> None:
+    await cell.ready()
+    cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")] * 2
+    await cell.grasp()
+    assert [what for _, what, _ in cell.gripper.commands] == ["hold"] * 3
+    times_s = [sent_s for sent_s, _, _ in cell.gripper.commands]
+    assert max(later - earlier for earlier, later in itertools.pairwise(times_s)) < 0.2
 
 
-def test_a_tightening_that_was_not_taken_is_commanded_again() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
-        before = len(cell.gripper.commands)
-        await cell.lift()
-        assert cell.gripper.failures == []
-        holds = [value for _, what, value in cell.gripper.commands[before:] if what == "hold"]
-        assert holds[0] == holds[1]
-        assert cell.truth.applied_n == pytest.approx(cell.service.state.grip.target_n, abs=0.5)
-        assert cell.truth.dropped is None
-
-    play(Cell("wrench", 1), scene)
+@on_cell("wrench", 1)
+async def test_a_tightening_that_was_not_taken_is_commanded_again(cell: Cell) -> None:
+    await cell.grasp()
+    cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
+    before = len(cell.gripper.commands)
+    await cell.lift()
+    assert cell.gripper.failures == []
+    holds = [value for _, what, value in cell.gripper.commands[before:] if what == "hold"]
+    assert holds[0] == holds[1]
+    assert cell.truth.applied_n == pytest.approx(cell.service.state.grip.target_n, abs=0.5)
+    assert cell.truth.dropped is None
 
 
-def test_a_release_that_was_not_taken_is_commanded_again() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
-        await cell.release()
-        assert [what for _, what, _ in cell.gripper.commands].count("release") == 2
-        assert cell.width_mm == pytest.approx(85.0, abs=0.5)
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_release_that_was_not_taken_is_commanded_again(cell: Cell) -> None:
+    await cell.grasp()
+    cell.gripper.failures = [DeviceTimeout("gripper: no answer within 50 ms")]
+    await cell.release()
+    assert [what for _, what, _ in cell.gripper.commands].count("release") == 2
+    assert cell.width_mm == pytest.approx(85.0, abs=0.5)
 
 
-def test_a_refusal_of_the_gripper_is_reported() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
-        await cell.submit(MoveJawsRequest(width_mm=50.0, force_n=20.0))
-        await asyncio.sleep(0.1)
-        assert cell.service.event_log.lines[-1] == "gripper: width_mm is 99; it must be 0 to 85"
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_refusal_of_the_gripper_is_reported(cell: Cell) -> None:
+    await cell.ready()
+    cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
+    await cell.submit(MoveJawsRequest(width_mm=50.0, force_n=20.0))
+    await asyncio.sleep(0.1)
+    assert cell.service.event_log.lines[-1] == "gripper: width_mm is 99; it must be 0 to 85"
 
 
-def test_two_requests_at_once_are_answered_in_order() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        asked_s = cell.now_s
-        both = [cell.submit(GraspRequest()), cell.submit(ReleaseRequest(confirm=True))]
-        first, second = await asyncio.gather(*both)
-        assert first.startswith("closing with")
-        assert second.startswith("releasing, as requested")
-        assert cell.now_s - asked_s < 0.05
-        await cell.until(lambda: cell.phase is Phase.IDLE)
-        twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)
-        assert str(twice[0]).startswith("closing with")
-        assert isinstance(twice[1], CommandRefused)
-        assert str(twice[1]) == "cannot grasp while closing; support the object, then release it"
-
-    play(Cell(), scene)
+@on_cell()
+async def test_two_requests_at_once_are_answered_in_order(cell: Cell) -> None:
+    await cell.ready()
+    asked_s = cell.now_s
+    both = [cell.submit(GraspRequest()), cell.submit(ReleaseRequest(confirm=True))]
+    first, second = await asyncio.gather(*both)
+    assert first.startswith("closing with")
+    assert second.startswith("releasing, as requested")
+    assert cell.now_s - asked_s < 0.05
+    await cell.until(lambda: cell.phase is Phase.IDLE)
+    twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)
+    assert str(twice[0]).startswith("closing with")
+    assert isinstance(twice[1], CommandRefused)
+    assert str(twice[1]) == "cannot grasp while closing; support the object, then release it"
 
 
-def test_a_request_that_times_out_is_refused_and_not_carried_out_later() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        run_cycle = cell.service._run_cycle
-        cell.service._run_cycle = lambda now_s: None  # type: ignore[method-assign]
-        asked_s = cell.now_s
-        with pytest.raises(CommandRefused, match="grasp: the loop did not respond within 2 s"):
-            await cell.service.request(ControlRequest(RequestKind.GRASP))
-        assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
-        cell.service._run_cycle = run_cycle  # type: ignore[method-assign]
-        await asyncio.sleep(0.5)
-        assert cell.phase is Phase.IDLE
-        assert cell.gripper.commands == []
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_request_that_times_out_is_refused_and_not_carried_out_later(cell: Cell) -> None:
+    await cell.ready()
+    run_cycle = cell.service._run_cycle
+    cell.service._run_cycle = lambda now_s: None  # type: ignore[method-assign]
+    asked_s = cell.now_s
+    with pytest.raises(CommandRefused, match="grasp: the loop did not respond within 2 s"):
+        await cell.service.request(ControlRequest(RequestKind.GRASP))
+    assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
+    cell.service._run_cycle = run_cycle  # type: ignore[method-assign]
+    await asyncio.sleep(0.5)
+    assert cell.phase is Phase.IDLE
+    assert cell.gripper.commands == []
 
 
-def test_a_request_whose_client_has_gone_is_not_executed() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        asker = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GRASP)))
-        other = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GUARD_OFF)))
-        await asyncio.sleep(0)
-        asker.cancel()
-        await other
-        await asyncio.sleep(0.2)
-        assert cell.phase is Phase.IDLE
-        assert cell.gripper.commands == []
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_request_whose_client_has_gone_is_not_executed(cell: Cell) -> None:
+    await cell.ready()
+    asker = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GRASP)))
+    other = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GUARD_OFF)))
+    await asyncio.sleep(0)
+    asker.cancel()
+    await other
+    await asyncio.sleep(0.2)
+    assert cell.phase is Phase.IDLE
+    assert cell.gripper.commands == []
 
 
-def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        await cell.grasp()
-        cell.world.faults.fail("arm", "timeout")
-        await asyncio.sleep(0.05)
-        await cell.submit(LiftRequest())  # the arm does not answer, but its newest state is recent
-        cell.world.faults.fail("arm", "disconnect")
-        await asyncio.sleep(3.0)
-        cell.world.faults.repair("arm")
-        await cell.until(lambda: not cell.service.waiting_for)
-        await asyncio.sleep(2.0)
-        assert cell.truth.height_mm == 0.0
-        assert cell.phase is Phase.FAULT
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_command_given_while_the_arm_is_away_is_not_obeyed_when_it_returns(cell: Cell) -> None:
+    await cell.grasp()
+    cell.world.faults.fail("arm", "timeout")
+    await asyncio.sleep(0.05)
+    await cell.submit(LiftRequest())  # the arm does not answer, but its newest state is recent
+    cell.world.faults.fail("arm", "disconnect")
+    await asyncio.sleep(3.0)
+    cell.world.faults.repair("arm")
+    await cell.until(lambda: not cell.service.waiting_for)
+    await asyncio.sleep(2.0)
+    assert cell.truth.height_mm == 0.0
+    assert cell.phase is Phase.FAULT
 
 
-def test_a_grasp_whose_preparation_outlasts_its_client_does_not_close_the_jaws() -> None:
+@on_cell()
+async def test_a_grasp_whose_preparation_outlasts_its_client_does_not_close_the_jaws(cell: Cell) -> None:
     """Slow storage: 6 s for each background image, while the client gives up after 5 s."""
+    await cell.ready()
+    load = cell.store.load_background
 
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        load = cell.store.load_background
+    def read_slowly(serial: str, number: int | None = None) -> BackgroundImage | None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualTimeLoop)
+        loop.stand_still(6.0)
+        return load(serial, number)
 
-        def read_slowly(serial: str, number: int | None = None) -> BackgroundImage | None:
-            loop = asyncio.get_running_loop()
-            assert isinstance(loop, VirtualTimeLoop)
-            loop.stand_still(6.0)
-            return load(serial, number)
-
-        cell.store.load_background = read_slowly  # type: ignore[method-assign]
-        with pytest.raises(CommandRefused, match=r"grasp.*(not executed|not read within 4 s)"):
-            await cell.submit(GraspRequest())
-        await asyncio.sleep(10.0)
-        assert cell.gripper.commands == []
-        assert cell.phase is Phase.IDLE
-
-    play(Cell(), scene)
-
-
-def test_slow_storage_is_named_before_the_client_gives_up() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        asked_s = cell.now_s
-        cell.handlers._capture.check_calibrated = lambda: asyncio.sleep(6.0)  # type: ignore[method-assign]
-        with pytest.raises(CommandRefused, match="cannot grasp: the background images were not read within 4 s"):
-            await cell.submit(GraspRequest())
-        assert cell.now_s - asked_s < GraspRequest.response_timeout_s
-        await asyncio.sleep(10.0)
-        assert cell.gripper.commands == []
-
-    play(Cell(), scene)
+    cell.store.load_background = read_slowly  # type: ignore[method-assign]
+    with pytest.raises(CommandRefused, match=r"grasp.*(not executed|not read within 4 s)"):
+        await cell.submit(GraspRequest())
+    await asyncio.sleep(10.0)
+    assert cell.gripper.commands == []
+    assert cell.phase is Phase.IDLE
 
 
 @pytest.mark.parametrize("request_kind", [RequestKind.GRASP, RequestKind.RELEASE])
-def test_a_request_in_the_queue_of_a_suspended_process_is_not_executed_afterwards(request_kind: RequestKind) -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        loop = asyncio.get_running_loop()
-        assert isinstance(loop, VirtualTimeLoop)
-        asked = asyncio.create_task(cell.service.request(ControlRequest(request_kind)))
-        await asyncio.sleep(0)
-        loop.stand_still(6.0)
-        with pytest.raises(CommandRefused, match="did not respond within 2 s; not executed"):
-            await asked
-        await asyncio.sleep(1.0)
-        assert cell.gripper.commands == []
-
-    play(Cell(), scene)
-
-
-def test_a_request_that_a_cycle_takes_at_the_last_moment_is_not_reported_as_failed() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        outcomes = set[bool]()
-        for number in range(8):
-            executed = len(cell.gripper.commands)
-            request, no_wake = ControlRequest(RequestKind.GRASP), asyncio.Event()
-            try:
-                await cell.service._requests.submit(request, no_wake, cell.now_s + 1e-3 * number)
-                reported = True
-            except CommandRefused:
-                reported = False
-            await asyncio.sleep(0.2)
-            assert (len(cell.gripper.commands) > executed) is reported
-            outcomes.add(reported)
-            if reported:
-                await cell.until(lambda: cell.phase is not Phase.CLOSING)
-                await cell.release()
-        assert outcomes == {False, True}
-
-    play(Cell(), scene)
+@on_cell()
+async def test_a_request_in_the_queue_of_a_suspended_process_is_not_executed_afterwards(
+    cell: Cell, request_kind: RequestKind
+) -> None:
+    await cell.ready()
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualTimeLoop)
+    asked = asyncio.create_task(cell.service.request(ControlRequest(request_kind)))
+    await asyncio.sleep(0)
+    loop.stand_still(6.0)
+    with pytest.raises(CommandRefused, match="did not respond within 2 s; not executed"):
+        await asked
+    await asyncio.sleep(1.0)
+    assert cell.gripper.commands == []

@@ -1,54 +1,67 @@
-"""Devices that are missing at the start, a shutdown at any moment, and a restart with an object in the fingers."""
+"""Missing devices at the start, messages to systemd, a shutdown at any moment, and a restart with an object held."""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
+import signal
+import socket
+import threading
+from collections.abc import Callable, Coroutine, Iterator
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from loop_cell import Cell, play, running
+import structlog
+from loop_cell import Cell, on_cell, play, running
 from sampled import sampled
+from structlog.testing import capture_logs
 
+from slipguard.config import parse_config
+from slipguard.control.control_step import ControlState, control_step
+from slipguard.control.messages import Observation, StepOutput
+from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
+from slipguard.daemon import lifecycle
+from slipguard.daemon import run as root
 from slipguard.daemon.api.requests import GraspRequest, ReleaseRequest
+from slipguard.daemon.lifecycle import exit_if_stuck, watchdog_period_s
+from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.virtual_time import run_virtual
-from slipguard.errors import CommandRefused
-from slipguard.sim.world import World
+from slipguard.devices import Frame
+from slipguard.errors import CommandRefused, DeviceLost, DeviceTimeout
+from slipguard.sim.world import World, WorldSettings
 
 BRISK: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
 DEVICES = ("left", "right", "gripper", "arm")
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_a_device_missing_at_the_start_is_waited_for_by_name(device: str) -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
+@on_cell("wrench", 1)
+async def test_a_device_missing_at_the_start_is_waited_for_by_name(cell: Cell, device: str) -> None:
+    cell.world.faults.fail(device, "disconnect")
+    await asyncio.sleep(7.0)
+    (line,) = cell.service.waiting_for
+    assert line.startswith(f"{device}: no ")
+    with pytest.raises(CommandRefused, match=f"cannot grasp: not ready: {device}: (?!{device}: )"):
+        await cell.submit(GraspRequest())
+    cell.world.faults.repair(device)
+    await cell.until(lambda: not cell.service.waiting_for, 5.1)  # ten times the first pause is the longest
+    await cell.grasp()
+    assert cell.phase is Phase.HOLDING
+
+
+@on_cell()
+async def test_without_any_device_the_service_waits_and_names_them(cell: Cell) -> None:
+    for device in DEVICES:
         cell.world.faults.fail(device, "disconnect")
-        await asyncio.sleep(7.0)
-        (line,) = cell.service.waiting_for
-        assert line.startswith(f"{device}: no ")
-        with pytest.raises(CommandRefused, match=f"cannot grasp: not ready: {device}: (?!{device}: )"):
-            await cell.submit(GraspRequest())
-        cell.world.faults.repair(device)
-        await cell.until(lambda: not cell.service.waiting_for, 5.1)  # ten times the first pause is the longest
-        await cell.grasp()
-        assert cell.phase is Phase.HOLDING
-
-    play(Cell("wrench", 1), scene)
-
-
-def test_without_any_device_the_service_waits_and_names_them() -> None:
-    async def scene(cell: Cell) -> None:
-        assert cell.world is not None
-        for device in DEVICES:
-            cell.world.faults.fail(device, "disconnect")
-        await asyncio.sleep(3.0)
-        assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
-        assert cell.phase is Phase.IDLE
-        response = await cell.submit(ReleaseRequest(confirm=True))
-        assert response == "releasing, as requested: when the arm stands, after 0.5 s at the latest"
-
-    play(Cell(), scene)
+    await asyncio.sleep(3.0)
+    assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
+    assert cell.phase is Phase.IDLE
+    response = await cell.submit(ReleaseRequest(confirm=True))
+    assert response == "releasing, as requested: when the arm stands, after 0.5 s at the latest"
 
 
 @pytest.mark.parametrize("seed", sampled(range(20), every=6))
@@ -156,12 +169,188 @@ def test_a_missing_arm_does_not_leave_a_found_object_unguarded() -> None:
     run_virtual(main())
 
 
-def test_a_restart_with_nothing_held_is_idle() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await asyncio.sleep(1.0)
-        assert cell.phases == [Phase.IDLE]
-        assert cell.gripper.commands == []
-        assert cell.arm.commands == []
+WATCHDOG_S = 3.0
 
-    play(Cell(), scene)
+
+@pytest.fixture
+def systemd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    """Listens as systemd does, with WatchdogSec=3."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(tmp_path / "notify"))
+        listening.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setenv("WATCHDOG_USEC", str(int(WATCHDOG_S * 1e6)))
+        yield listening
+
+
+def messages(listening: socket.socket) -> list[str]:
+    received = []
+    while True:
+        try:
+            received.append(listening.recv(500).decode())
+        except BlockingIOError:
+            return received
+
+
+@on_cell()
+async def test_a_healthy_loop_feeds_the_watchdog_twice_in_its_time(cell: Cell, systemd: socket.socket) -> None:
+    received: list[str] = []
+    await cell.ready()
+    received.extend(messages(systemd))
+    for _ in range(10):
+        start_s = cell.now_s
+        await cell.until(lambda start_s=start_s: cell.now_s >= start_s + WATCHDOG_S)  # type: ignore[misc]
+        fed = messages(systemd)
+        assert fed.count("WATCHDOG=1") == 2, fed
+    await cell.grasp()
+    assert received[0] == "READY=1"
+    assert "STATUS=holding" in messages(systemd)
+
+
+def test_a_controller_error_ends_the_service_and_feeds_nothing_more(systemd: socket.socket) -> None:
+    """Sensors, gripper and arm go on answering until then: they are no sign of health."""
+    rotations = 0
+
+    def broken(state: ControlState, observation: Observation, params: GuardParams) -> tuple[ControlState, StepOutput]:
+        nonlocal rotations
+        rotations += 1
+        if rotations > 50:
+            raise ZeroDivisionError("a mistake in the controller")
+        return control_step(state, observation, params)
+
+    async def scene(cell: Cell) -> None:
+        await cell.until(lambda: False, 20.0)
+
+    with pytest.raises((ExceptionGroup, AssertionError)):
+        play(Cell(controller=broken), scene)
+    received = messages(systemd)
+    assert received.count("WATCHDOG=1") == 1  # in the first cycle
+    assert received[-1] == "STOPPING=1"
+
+
+@pytest.mark.parametrize("raw", ["", "0", "-5", "soon", "3.5"])
+def test_without_a_sensible_time_nothing_is_fed(raw: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", raw)
+    assert watchdog_period_s() is None
+
+
+ROTATIONS = range(16)
+
+
+async def swallowing() -> None:
+    """As `asyncio.wait_for` until Python 3.12, where the result arrives in the same cycle of the event loop."""
+    with contextlib.suppress(asyncio.CancelledError):
+        await asyncio.sleep(0)
+
+
+class Careless:
+    """A device and a sensor that swallow a cancellation wherever they wait. there: whether it opens."""
+
+    serial = "D1"
+    remarks = ()
+
+    def __init__(self, there: bool) -> None:
+        self.there = there
+
+    async def open(self) -> None:
+        await swallowing()
+        if not self.there:
+            raise DeviceLost("motor: unplugged; plug it in")
+
+    async def state(self) -> int:
+        await swallowing()
+        return 1
+
+    async def next_frame(self) -> Frame:
+        await swallowing()
+        raise DeviceTimeout("motor: no frame")
+
+    async def stop(self) -> None:
+        await swallowing()
+
+    async def close(self) -> None:
+        await swallowing()
+
+
+def ended_when_cancelled_at(rotation: int, make: Callable[[], Coroutine[Any, Any, None]]) -> bool:
+    async def main() -> bool:
+        task = asyncio.create_task(make())
+        for _ in range(rotation):
+            await asyncio.sleep(0)
+        task.cancel()
+        done, _ = await asyncio.wait([task], timeout=5.0)
+        return bool(done)
+
+    return run_virtual(main())
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_a_device_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
+    def driven() -> Coroutine[Any, Any, None]:
+        device = Careless(there)
+        actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda line: None)
+        actuator.command(device.stop)
+        return actuator.run()
+
+    assert ended_when_cancelled_at(rotation, driven)
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_a_sensor_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
+    def sensed() -> Coroutine[Any, Any, None]:
+        finger = Cell().service.fingers["left"]
+        finger.capture.sensor = Careless(there)  # type: ignore[assignment]
+        return finger.run()
+
+    assert ended_when_cancelled_at(rotation, sensed)
+
+
+async def one_that_stays() -> None:
+    """Go on after the request to end."""
+    try:
+        await asyncio.Event().wait()
+    except asyncio.CancelledError:
+        await asyncio.Event().wait()
+
+
+def test_a_task_that_ignores_cancellation_is_named_and_cancelled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def idle(*handlers: object) -> None:  # the real API would be disturbed in its last responses
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(lifecycle, "CANCEL_AGAIN_S", 0.05)
+
+    async def extra_task_body(service: Any) -> None:
+        asyncio.get_running_loop().call_later(0.01, os.kill, os.getpid(), signal.SIGTERM)
+        await one_that_stays()
+
+    async def main() -> None:
+        async with asyncio.timeout(30.0):
+            config = parse_config({"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+            await root.run(config, lambda _: idle, world=World(WorldSettings(), seed=0), extra_task=extra_task_body)
+
+    structlog.reset_defaults()
+    with capture_logs() as reported:
+        asyncio.run(main())
+    (line,) = [line for line in reported if "cancelled again" in line["event"]]
+    assert "extra" in line["tasks"]
+    assert reported[-1]["event"] == "slipguard stops; the grip stays as it is"
+
+
+async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lifecycle, "EXIT_S", 0.05)
+    left, codes = threading.Event(), list[int]()
+
+    def leave(code: int) -> None:
+        codes.append(code)
+        left.set()
+
+    structlog.reset_defaults()
+    with capture_logs() as reported:
+        exit_if_stuck(leave)
+        assert left.wait(30.0), "the loop stands still meanwhile"
+    assert codes == [1]
+    assert "process exits" in reported[-1]["event"]

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell
 
 from slipguard.control.state import Phase
 from slipguard.daemon.api import handlers
@@ -24,147 +24,106 @@ def switched_on() -> Cell:
     return Cell(world=World(WorldSettings(step_s=2e-3, gripper_activated=False)), watched=False)
 
 
-def test_from_switched_on_to_activated() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        for request in (GraspRequest(), MoveJawsRequest(width_mm=50.0)):
-            with pytest.raises(CommandRefused, match="run `slipguard ctl activate`"):
-                await cell.submit(request)
-        assert cell.width_mm == 85.0, "nothing has moved"
-        activation = asyncio.ensure_future(cell.submit(CONFIRMED))
-        await cell.until(lambda: cell.width_mm < 1.0)
-        with pytest.raises(CommandRefused, match="not activated"):
-            await cell.submit(GraspRequest())
-        assert "activated; the jaws are 85 mm apart" in await activation
-        with pytest.raises(CommandRefused, match="already activated"):
-            await cell.submit(CONFIRMED)
-        await cell.submit(MoveJawsRequest(width_mm=50.0))
-        await cell.until(lambda: cell.width_mm < 51.0)
-
-    play(switched_on(), scene)
-
-
-def test_refused_while_an_object_is_held_and_the_gripper_was_switched_off_and_on() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.grasp()
-        assert cell.world is not None
-        cell.world.gripper_activated = False
-        await cell.until(lambda: cell.phase is Phase.FAULT)
-        with pytest.raises(CommandRefused, match="would close on a held object and drop it"):
-            await cell.submit(CONFIRMED)
-        await asyncio.sleep(1.0)
-        assert cell.truth.in_contact
-        width_mm, force_n = cell.width_mm, cell.truth.force_n
-        await cell.submit(ReleaseRequest(confirm=True))
-        while cell.phase is not Phase.IDLE:
-            await asyncio.sleep(0.01)
-            assert cell.width_mm >= width_mm
-            assert cell.truth.force_n <= force_n
-            width_mm, force_n = cell.width_mm, cell.truth.force_n
-        assert width_mm == 85.0
-        assert "must be activated" in cell.service.event_log.lines[-1]
-        cell.world.clear(cell.now_s)
-        assert "activated" in str(await cell.submit(CONFIRMED))
-        await cell.submit(MoveJawsRequest(width_mm=50.0))
-
-    play(Cell(), scene)
-
-
-def test_refused_while_a_finger_sees_contact_unless_the_gels_are_covered() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        for perceiver in cell.perceivers["left"]:
-            perceiver.always_touched = True
-        await asyncio.sleep(0.2)
-        with pytest.raises(CommandRefused, match="left finger is in contact"):
-            await cell.submit(CONFIRMED)
-        assert cell.width_mm == 85.0
-        await cell.submit(ActivateRequest(confirm=True, force=True))
-
-    play(switched_on(), scene)
-
-
-def test_refused_while_a_finger_cannot_detect_contact() -> None:
-    async def scene(cell: Cell) -> None:
-        with pytest.raises(CommandRefused, match="no sensor was found yet for the left finger"):
-            await cell.submit(CONFIRMED)
-        await cell.ready()
-        assert cell.world is not None
-        cell.world.faults.fail("right", "disconnect")
-        await asyncio.sleep(1.0)
-        with pytest.raises(CommandRefused, match="right finger has no recent estimate"):
-            await cell.submit(CONFIRMED)
-        assert cell.width_mm == 85.0
-        await cell.submit(ActivateRequest(confirm=True, force=True))
-
-    play(switched_on(), scene)
-
-
-def test_the_first_activation_precedes_the_first_calibration() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        for perceiver in cell.perceivers["left"]:
-            perceiver.always_touched = True
+@on_cell(make=switched_on)
+async def test_from_switched_on_to_activated(cell: Cell) -> None:
+    await cell.ready()
+    for request in (GraspRequest(), MoveJawsRequest(width_mm=50.0)):
+        with pytest.raises(CommandRefused, match="run `slipguard ctl activate`"):
+            await cell.submit(request)
+    assert cell.width_mm == 85.0, "nothing has moved"
+    activation = asyncio.ensure_future(cell.submit(CONFIRMED))
+    await cell.until(lambda: cell.width_mm < 1.0)
+    with pytest.raises(CommandRefused, match="not activated"):
+        await cell.submit(GraspRequest())
+    assert "activated; the jaws are 85 mm apart" in await activation
+    with pytest.raises(CommandRefused, match="already activated"):
         await cell.submit(CONFIRMED)
+    await cell.submit(MoveJawsRequest(width_mm=50.0))
+    await cell.until(lambda: cell.width_mm < 51.0)
 
-    world = World(WorldSettings(step_s=2e-3, gripper_activated=False))
-    play(Cell(world=world, watched=False, calibrated=False), scene)
+
+@on_cell()
+async def test_refused_while_an_object_is_held_and_the_gripper_was_switched_off_and_on(cell: Cell) -> None:
+    await cell.grasp()
+    cell.world.gripper_activated = False
+    await cell.until(lambda: cell.phase is Phase.FAULT)
+    with pytest.raises(CommandRefused, match="would close on a held object and drop it"):
+        await cell.submit(CONFIRMED)
+    await asyncio.sleep(1.0)
+    assert cell.truth.in_contact
+    width_mm, force_n = cell.width_mm, cell.truth.force_n
+    await cell.submit(ReleaseRequest(confirm=True))
+    while cell.phase is not Phase.IDLE:
+        await asyncio.sleep(0.01)
+        assert cell.width_mm >= width_mm
+        assert cell.truth.force_n <= force_n
+        width_mm, force_n = cell.width_mm, cell.truth.force_n
+    assert width_mm == 85.0
+    assert "must be activated" in cell.service.event_log.lines[-1]
+    cell.world.clear(cell.now_s)
+    assert "activated" in str(await cell.submit(CONFIRMED))
+    await cell.submit(MoveJawsRequest(width_mm=50.0))
+
+
+@on_cell(make=switched_on)
+async def test_refused_while_a_finger_sees_contact_unless_the_gels_are_covered(cell: Cell) -> None:
+    await cell.ready()
+    for perceiver in cell.perceivers["left"]:
+        perceiver.always_touched = True
+    await asyncio.sleep(0.2)
+    with pytest.raises(CommandRefused, match="left finger is in contact"):
+        await cell.submit(CONFIRMED)
+    assert cell.width_mm == 85.0
+    await cell.submit(ActivateRequest(confirm=True, force=True))
 
 
 @pytest.mark.parametrize("damaged", [False, True])
-def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripper_was_active(
-    tmp_path: Path, damaged: bool
+@on_cell(make=switched_on)
+async def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripper_was_active(
+    cell: Cell, tmp_path: Path, damaged: bool
 ) -> None:
     store, path = StateDir(tmp_path), tmp_path / "last_grasp.json"
     store.save_last_grasp(LastGrasp(saved_at=datetime.now(UTC) - timedelta(days=1), force_n=90.0, width_mm=18.0))
     if damaged:
         path.write_text(path.read_text()[:60])
-
-    async def scene(cell: Cell) -> None:
-        cell.service._control_state = restore_control_state(store)
-        cell.service.observers.append(LastGraspSaver(store, cell.messages.append, cell.messages.append).add_decision)
-        await cell.ready()
-        await asyncio.sleep(0.2)
-        with pytest.raises(CommandRefused, match="something was held before the last start, or may have been"):
-            await cell.submit(CONFIRMED)
-        assert path.exists()
-        await cell.submit(ActivateRequest(confirm=True, force=True))
-        await asyncio.sleep(0.2)
-        assert not cell.service.state.adoption.outdated
-        assert store.load_last_grasp() is None
-
-    play(switched_on(), scene)
+    cell.service._control_state = restore_control_state(store)
+    cell.service.observers.append(LastGraspSaver(store, cell.messages.append, cell.messages.append).add_decision)
+    await cell.ready()
+    await asyncio.sleep(0.2)
+    with pytest.raises(CommandRefused, match="something was held before the last start, or may have been"):
+        await cell.submit(CONFIRMED)
+    assert path.exists()
+    await cell.submit(ActivateRequest(confirm=True, force=True))
+    await asyncio.sleep(0.2)
+    assert not cell.service.state.adoption.outdated
+    assert store.load_last_grasp() is None
 
 
-def test_a_failed_activation_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
+@on_cell(make=switched_on)
+async def test_a_failed_activation_is_reported(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    await cell.ready()
 
-        async def fails() -> None:
-            raise DeviceTimeout("gripper: not activated after 10 s (activation fault)")
+    async def fails() -> None:
+        raise DeviceTimeout("gripper: not activated after 10 s (activation fault)")
 
-        monkeypatch.setattr(cell.gripper, "activate", fails)
-        monkeypatch.setattr(cell.service.gripper, "_poll_s", 0.2)
-        with pytest.raises(CommandRefused, match="the activation failed: gripper: not activated after 10 s"):
-            await cell.submit(CONFIRMED)
+    monkeypatch.setattr(cell.gripper, "activate", fails)
+    monkeypatch.setattr(cell.service.gripper, "_poll_s", 0.2)
+    with pytest.raises(CommandRefused, match="the activation failed: gripper: not activated after 10 s"):
+        await cell.submit(CONFIRMED)
 
-        async def succeeds() -> None:
-            await asyncio.sleep(3.0)
-            assert cell.world is not None
-            cell.world.gripper_activated = True
+    async def succeeds() -> None:
+        await asyncio.sleep(3.0)
+        cell.world.gripper_activated = True
 
-        assert not cell.service.gripper.health.ready, "of the command before"
-        monkeypatch.setattr(cell.gripper, "activate", succeeds)
-        assert "is activated" in str(await cell.submit(CONFIRMED)), "it is reported as failed only when it has failed"
-        assert cell.world is not None
-        cell.world.gripper_activated = False
+    assert not cell.service.gripper.health.ready, "of the command before"
+    monkeypatch.setattr(cell.gripper, "activate", succeeds)
+    assert "is activated" in str(await cell.submit(CONFIRMED)), "it is reported as failed only when it has failed"
+    cell.world.gripper_activated = False
 
-        async def nothing() -> None:
-            await asyncio.sleep(0)
+    async def nothing() -> None:
+        await asyncio.sleep(0)
 
-        await asyncio.sleep(0.5)
-        monkeypatch.setattr(cell.gripper, "activate", nothing)
-        with pytest.raises(CommandRefused, match=f"within {handlers.ACTIVATED_WITHIN_S:g} s; the jaws may still move"):
-            await cell.submit(CONFIRMED)
-
-    play(switched_on(), scene)
+    await asyncio.sleep(0.5)
+    monkeypatch.setattr(cell.gripper, "activate", nothing)
+    with pytest.raises(CommandRefused, match=f"within {handlers.ACTIVATED_WITHIN_S:g} s; the jaws may still move"):
+        await cell.submit(CONFIRMED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import pytest
@@ -42,23 +41,9 @@ def test_a_lift_is_a_trapezoid() -> None:
     assert (state.height_mm, state.speed_mm_s, state.moving) == (100.0, 0.0, False)
 
 
-def test_a_short_lift_never_reaches_its_speed() -> None:
-    plant, _ = order_lift(AT_REST, MODEL, 0.0, 2.0, 250.0)
-    assert end_s(plant) == pytest.approx(2 * math.sqrt(2.0 / 1200.0))
-    top = max(pose(plant, i * 1e-4).speed_mm_s for i in range(2000))
-    assert top == pytest.approx(math.sqrt(2.0 * 1200.0), rel=1e-2)
-
-
 def test_speed_is_held_to_the_arms_limits() -> None:
     assert order_lift(AT_REST, MODEL, 0.0, 10.0, 1000.0)[1] == 250.0
     assert order_lift(AT_REST, MODEL, 0.0, 10.0, 0.0)[1] == 1.0
-
-
-def test_the_arm_does_not_go_through_the_table() -> None:
-    plant, _ = order_lift(AT_REST, MODEL, 0.0, 50.0, 100.0)
-    down, _ = order_lift(plant, MODEL, 5.0, -500.0, 100.0)
-    assert pose(down, 20.0).height_mm == 0.0
-    assert min(pose(down, 5.0 + i * 1e-3).height_mm for i in range(3000)) >= -1e-9
 
 
 def test_a_stop_takes_its_way() -> None:
@@ -68,21 +53,6 @@ def test_a_stop_takes_its_way() -> None:
     assert end_s(stopped) - 1.0 == pytest.approx(0.1)
     assert pose(stopped, 9.0).height_mm - before.height_mm == pytest.approx(250.0**2 / 2 / 2500.0)
     assert pose(stopped, 1.05).acceleration_mm_s2 == -2500.0
-
-
-def test_stopping_twice_or_at_rest_changes_nothing() -> None:
-    assert order_stop(AT_REST, MODEL, 1.0) is AT_REST
-    plant, _ = order_lift(AT_REST, MODEL, 0.0, 400.0, 250.0)
-    once = order_stop(plant, MODEL, 1.0)
-    twice = order_stop(once, MODEL, 1.03)
-    assert pose(twice, 9.0).height_mm == pytest.approx(pose(once, 9.0).height_mm)
-
-
-@pytest.mark.parametrize(("way_mm", "speed", "when_s"), [(50.0, 100.0, 0.02), (50.0, 100.0, 0.3), (5.0, 250.0, 0.03)])
-def test_the_same_goal_ordered_again_on_the_way_costs_no_time(way_mm: float, speed: float, when_s: float) -> None:
-    plant, _ = order_lift(AT_REST, MODEL, 0.0, way_mm, speed)
-    again, _ = order_lift(plant, MODEL, when_s, way_mm - pose(plant, when_s).height_mm, speed)
-    assert end_s(again) == pytest.approx(end_s(plant))
 
 
 @pytest.mark.parametrize("way_mm", [-30.0, 0.0, 5.0])

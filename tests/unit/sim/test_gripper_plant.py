@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -38,32 +36,11 @@ def run(
     return plants
 
 
-def test_forces_are_register_values_and_never_below_the_requested_force() -> None:
-    assert MODEL.force_step_n == pytest.approx(0.843, abs=5e-4)
-    assert MODEL.quantized_force_n(0.0) == 20.0
-    assert MODEL.quantized_force_n(20.0) == 20.0
-    assert MODEL.quantized_force_n(20.01) == pytest.approx(20.0 + MODEL.force_step_n)
-    assert MODEL.quantized_force_n(500.0) == pytest.approx(235.0)
-
-
 @given(st.floats(20.0, 235.0))
 def test_quantisation_adds_less_than_a_count_and_is_stable(force_n: float) -> None:
     applied_n = MODEL.quantized_force_n(force_n)
     assert force_n - 1e-6 <= applied_n < force_n + MODEL.force_step_n
     assert MODEL.quantized_force_n(applied_n) == applied_n
-
-
-def test_closing_ends_at_its_goal_and_a_lost_object_lets_it_go_on() -> None:
-    plant, _ = order_hold(OPEN, MODEL, 0.0, 40.0, goal_mm=20.0)
-    closing = run(plant, 0.0, 1.0, object_mm=None)[-1]
-    assert (closing.width_mm, closing.holding, closing.drive) == (20.0, False, Drive.REST)
-    plant, _ = order_hold(OPEN, MODEL, 0.0, 40.0, goal_mm=20.0)
-    held = run(plant, 0.0, 1.5)[-1]
-    assert held.holding
-    assert order_hold(held, MODEL, 1.5, 40.0, goal_mm=20.0)[0] is held, "no more force, no command"
-    met = run(held, 1.5, 1.0, object_mm=24.0)[-1]
-    assert (met.width_mm, met.force_n, met.holding) == (24.0, held.force_n, True), "something else is behind it"
-    assert run(held, 1.5, 1.0, object_mm=None)[-1].width_mm == 20.0
 
 
 def test_closing_waits_for_line_and_motor_then_stops_on_the_object() -> None:
@@ -92,36 +69,12 @@ def test_tightening_at_rest_costs_stop_and_go() -> None:
     assert all(p.holding and report(p, 0.0).holding for p in plants)
 
 
-def test_tightening_while_it_closes_takes_effect_without_a_stop() -> None:
-    plant, _ = order_hold(HELD, MODEL, 0.0, 60.0)
-    on_its_way = run(plant, 0.0, 0.1)[-1]
-    assert on_its_way.drive is Drive.CLOSING
-    again, _ = order_hold(on_its_way, MODEL, 0.1, 80.0)
-    plants = run(again, 0.1, 0.4)
-    forces = [p.force_n for p in plants]
-    rises = [b - a for a, b in pairwise(forces) if b < forces[-1]]
-    assert min(rises) == pytest.approx(0.2)  # 200 N/s all the way
-    assert forces[-1] >= 80.0
-
-
-def test_orders_queue_in_the_line() -> None:
-    plant = HELD
-    for _ in range(3):
-        plant, _ = order_hold(plant, MODEL, 0.0, plant.applied_n + 10.0)
-    assert [order.due_s for order in plant.pending] == pytest.approx([0.032, 0.064, 0.096])
-
-
 def test_the_true_force_has_the_gain_error_which_is_not_reported() -> None:
     model = replace(MODEL, gain=1.1)
     plant, applied_n = order_hold(OPEN, model, 0.0, 40.0)
     end = run(plant, 0.0, 1.5, model=model)[-1]
     assert end.force_n == pytest.approx(1.1 * applied_n)
     assert report(end, 0.0).force_n == applied_n
-
-
-def test_a_lower_or_equal_force_changes_nothing() -> None:
-    for force_n in (0.0, 20.0, HELD_N):
-        assert order_hold(HELD, MODEL, 0.0, force_n) == (HELD, HELD_N)
 
 
 @settings(max_examples=50, deadline=None)
@@ -154,10 +107,6 @@ def test_release_unloads_then_opens_and_forgets_the_force() -> None:
     assert applied_n < 26.0
 
 
-def test_release_below_the_present_width_never_closes() -> None:
-    assert run(order_release(OPEN, MODEL, 0.0, 10.0), 0.0, 1.0)[-1].width_mm == 85.0
-
-
 def test_closing_on_nothing_ends_at_the_end_stop() -> None:
     plant, _ = order_hold(OPEN, MODEL, 0.0, 30.0)
     end = run(plant, 0.0, 1.5, object_mm=None)[-1]
@@ -169,12 +118,6 @@ def test_closing_on_nothing_ends_at_the_end_stop() -> None:
     assert not reopened.closed_on_nothing
 
 
-def test_losing_the_object_lets_the_fingers_close_on_nothing() -> None:
-    end = run(HELD, 0.0, 1.0, object_mm=None)[-1]
-    assert end.force_n == 0.0
-    assert end.closed_on_nothing
-
-
 def test_move_goes_to_a_width_and_says_which() -> None:
     plant, width_mm = order_move(OPEN, MODEL, 0.0, 50.0, 20.0)
     assert abs(width_mm - 50.0) <= MODEL.width_step_mm / 2
@@ -183,30 +126,3 @@ def test_move_goes_to_a_width_and_says_which() -> None:
     assert end.drive is Drive.REST
     assert not end.closed_on_nothing
     assert not end.holding
-
-
-def test_moving_onto_an_object_holds_it() -> None:
-    plant, _ = order_move(OPEN, MODEL, 0.0, 10.0, 25.0)
-    end = run(plant, 0.0, 1.5)[-1]
-    assert (end.width_mm, end.holding) == (30.0, True)
-    assert end.force_n >= 25.0
-
-
-def test_moving_open_while_holding_lets_go() -> None:
-    plant, _ = order_move(HELD, MODEL, 0.0, 50.0, 20.0)
-    end = run(plant, 0.0, 1.0)[-1]
-    assert end.force_n == 0.0
-    assert not end.holding
-
-
-def test_closing_further_with_less_force_lowers_nothing() -> None:
-    plant, _ = order_move(HELD, MODEL, 0.0, 0.0, 20.0)
-    plants = run(plant, 0.0, 0.5)
-    assert {p.force_n for p in plants} == {HELD_N}
-    assert plants[-1].at_rest
-    assert plants[-1].applied_n == HELD_N
-
-
-def test_nothing_moves_without_an_order() -> None:
-    assert run(HELD, 0.0, 0.2)[-1] is HELD
-    assert math.isclose(run(OPEN, 0.0, 0.2)[-1].width_mm, 85.0)
