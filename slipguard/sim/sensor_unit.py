@@ -20,8 +20,7 @@ Triple = tuple[float, float, float]
 class SensorUnit:
     """Optics and gel of one sensor. Picklable; triples are in the order blue, green, red.
 
-    The defaults are fitted to real presses of a ball (`python -m tests.campaigns fit-renderer`): difference images
-    correlate 0.89 with 15 held-out presses.
+    The defaults are fitted to 15 real presses of a ball: difference images correlate 0.89 with 15 held-out presses.
 
     Attributes:
         px_per_mm: 18.15-18.63 on four units with a caliper, 15.9-19.6 across sources.

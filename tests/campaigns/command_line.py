@@ -10,18 +10,14 @@ from typing import Annotated
 import typer
 
 from slipguard.cli import app as product
-from tests.campaigns.api_load import api_load
 from tests.campaigns.faults.command import faults
 from tests.campaigns.fuzz import fuzz
 from tests.campaigns.hostile_clients import hostile_clients
 from tests.campaigns.paper_networks.recipe import Arch, RecipeName
-from tests.campaigns.recording_cost import recording_cost
-from tests.campaigns.soak.command import soak
-from tests.campaigns.stress_list import stress_list
-from tests.campaigns.torn.command import torn_frames
+from tests.campaigns.soak import soak
 
 app = typer.Typer(name="campaigns", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
-for campaign in (soak, faults, api_load, recording_cost, stress_list, hostile_clients, torn_frames, fuzz):
+for campaign in (soak, faults, hostile_clients, fuzz):
     app.command()(campaign)
 Model = Annotated[Path | None, typer.Option(help="Segmentation network (.onnx); default: the shipped one.")]
 
@@ -32,42 +28,6 @@ def top() -> None:
 
     Example: `python -m tests.campaigns soak --hours 8`, `python -m tests.campaigns faults --runs 1000`
     """
-
-
-@app.command()
-def ablations(
-    work: Annotated[Path, typer.Option(help="Folder for frames, weights and results; an interrupted run continues.")],
-    real: Annotated[
-        Path | None, typer.Option(help="Folder of labeled real frames; only its tuning part is used.")
-    ] = None,
-    backgrounds: Annotated[Path | None, typer.Option(help="Folder of real background images to train on.")] = None,
-    frames: Annotated[int, typer.Option(min=64, help="Training frames of each variant.")] = 3000,
-    epochs: Annotated[int, typer.Option(min=1, help="Training epochs.")] = 2,
-    seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant, seeds 0, 1, ...")] = 1,
-    bfloat16: Annotated[bool, typer.Option(help="Train with half precision, as `slipguard train` does.")] = False,
-) -> None:
-    """Train variants of the small network, one design choice changed each, and print a Markdown table.
-
-    Example: `python -m tests.campaigns ablations --work build/ablations --real DIR --backgrounds DIR`
-    """
-    from tests.campaigns.ablations import compare_variants
-
-    compare_variants(work, real, backgrounds, frames, epochs, seeds, bfloat16)
-
-
-@app.command()
-def fit_renderer(
-    folder: Annotated[Path, typer.Argument(help="Folder with NN.png, background.png and circles.csv (file,cx,cy,r).")],
-    rounds: Annotated[int, typer.Option(min=1, help="Rounds of the fit.")] = 20,
-    sheet: Annotated[Path | None, typer.Option(help="PNG of real and rendered images and their differences.")] = None,
-) -> None:
-    """Fit the renderer's optics to real presses of a ball; report the correlation with held-out presses.
-
-    Example: `python -m tests.campaigns fit-renderer real_digit/taxim_sphere --sheet sheet.png`
-    """
-    from tests.campaigns.fit_renderer import fit_and_report
-
-    fit_and_report(folder, rounds, sheet)
 
 
 @app.command()

@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from slipguard.cli.terminal import progress_bar
 from slipguard.errors import InputError
+from tests.campaigns.figures import Figure, report
 from tests.campaigns.fuzz_cases import KINDS
 
 MEMORY_MAX_MB = 300
@@ -41,15 +40,6 @@ class FuzzResult:
     failures: list[str] = field(default_factory=list)
     memory_mb: float = 0.0
 
-    @property
-    def failure(self) -> str | None:
-        """Why the limits are not met; None if they are."""
-        if self.failures:
-            return f"{self.kind}: {len(self.failures)} of {self.cases} cases failed; the first: {self.failures[0]}"
-        if self.memory_mb > MEMORY_MAX_MB:
-            return f"{self.kind}: {self.memory_mb:.0f} MB of memory (limit {MEMORY_MAX_MB} MB)"
-        return None
-
 
 def fuzz(
     kinds: Annotated[list[str] | None, typer.Argument(help=f"Of: {', '.join(KINDS)}. Default: all.")] = None,
@@ -70,14 +60,17 @@ def fuzz(
         raise InputError(f"{unknown[0]}: no such kind; choose from {', '.join(KINDS)}")
     with progress_bar("fuzz") as show:
         found = [run_kind(kind, cases, seed, first, keep, partial(show, kind)) for kind in kinds or KINDS]
-    if json:
-        print(jsonable(found))
-    else:
-        _print(found)
-    failures = [one.failure for one in found if one.failure]
-    if failures:
-        typer.echo("; ".join(failures), err=True)
-        raise typer.Exit(1)
+    figures = [
+        figure
+        for one in found
+        for figure in (
+            Figure(f"{one.kind}: cases", one.cases, 1, at_least=True),
+            Figure(f"{one.kind}: failures", len(one.failures)),
+            Figure(f"{one.kind}: memory_mb", round(one.memory_mb, 1), MEMORY_MAX_MB),
+        )
+    ]
+    details = {one.kind: {"outcomes": dict(one.outcomes), "failures": one.failures[:FAILURES_SHOWN]} for one in found}
+    report(figures, details, json)
 
 
 def run_kind(
@@ -124,30 +117,3 @@ def _add(found: FuzzResult, case: dict[str, Any]) -> None:
     found.outcomes[case["outcome"]] += 1
     if case["failure"]:
         found.failures.append(f"case {case['number']}: {case['failure']}")
-
-
-def jsonable(found: list[FuzzResult]) -> str:
-    """Return the results as one JSON object, by kind."""
-    return json.dumps(
-        {
-            one.kind: {
-                "cases": one.cases,
-                "outcomes": dict(one.outcomes),
-                "failures": one.failures,
-                "memory_mb": round(one.memory_mb, 1),
-            }
-            for one in found
-        }
-    )
-
-
-def _print(found: list[FuzzResult]) -> None:
-    console = Console(highlight=False)
-    table = Table("kind", "cases", "outcomes", "failed", "memory, MB")
-    for one in found:
-        outcomes = ", ".join(f"{name}: {count}" for name, count in one.outcomes.most_common())
-        table.add_row(one.kind, str(one.cases), outcomes, str(len(one.failures)), f"{one.memory_mb:.0f}")
-    console.print(table)
-    for one in found:
-        for failure in one.failures[:FAILURES_SHOWN]:
-            console.print(f"{one.kind}, {failure}", markup=False)

@@ -9,20 +9,21 @@ import asyncio
 import json as jsonlib
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 
 from slipguard.cli.interrupt import default_interrupts
 from slipguard.cli.terminal import progress_bar
 from slipguard.web.host import wait_or_kill
 from slipguard.web.sockets import bind_tcp
+from tests.campaigns.figures import Figure, report
 
 HOST = "127.0.0.1"
 LIMIT_MS = 200.0
@@ -39,24 +40,25 @@ class HostileResult:
     attacks: completed ones by kind. web_process_kept: whether the web process was never replaced.
     """
 
-    seconds: float
-    connections: int
     times_ms: dict[str, list[float]]
-    statuses: dict[str, int]
+    statuses: Counter[int]
     attacks: dict[str, int]
     web_process_kept: bool
 
     @property
-    def failure(self) -> str | None:
-        """Why the limit is not met; None if it is."""
+    def figures(self) -> list[Figure]:
+        """The figures with their limits."""
+        found = [Figure("attacks", sum(self.attacks.values()), 1, at_least=True)]
         for way, times_ms in self.times_ms.items():
-            p99_ms = float(np.percentile(times_ms, 99))
-            if p99_ms > LIMIT_MS:
-                return f"{way}: p99 of {len(times_ms)} responses {p99_ms:.0f} ms; the longest {max(times_ms):.0f} ms"
-        wrong = {status: count for status, count in self.statuses.items() if status not in ("200", "409")}
-        if wrong or not self.web_process_kept:
-            return f"statuses {self.statuses}, web process {'kept' if self.web_process_kept else 'replaced'}"
-        return None
+            p50_ms, p99_ms = map(float, np.percentile(times_ms, (50, 99)))
+            found += [
+                Figure(f"{way}: requests", len(times_ms), None),
+                Figure(f"{way}: p50_ms", p50_ms, None),
+                Figure(f"{way}: p99_ms", p99_ms, LIMIT_MS),
+                Figure(f"{way}: longest_ms", max(times_ms), None),
+            ]
+        wrong = sum(count for status, count in self.statuses.items() if status not in (200, 409))
+        return [*found, Figure("wrong responses", wrong), Figure("web process replaced", not self.web_process_kept)]
 
 
 def hostile_clients(
@@ -71,38 +73,17 @@ def hostile_clients(
     """
     with progress_bar("hostile clients") as show, default_interrupts():
         found = asyncio.run(run_attack(seconds, connections, seed, show))
-    figures = {
-        way: {"requests": len(times_ms), "p50_ms": p50, "p99_ms": p99, "longest_ms": max(times_ms)}
-        for way, times_ms in found.times_ms.items()
-        for p50, p99 in [map(float, np.percentile(times_ms, (50, 99)))]
-    }
-    if json:
-        print(jsonlib.dumps(asdict(found) | {"figures": figures}))
-    else:
-        console = Console(highlight=False)
-        for kind, count in sorted(found.attacks.items()):
-            console.print(f"{count:8}  {kind}")
-        for way, one in figures.items():
-            console.print(
-                f"{one['requests']} release and clear over {way}: p50 {one['p50_ms']:.1f} ms, p99 {one['p99_ms']:.1f} "
-                f"ms (limit {LIMIT_MS:g} ms), longest {one['longest_ms']:.1f} ms"
-            )
-        console.print(f"statuses {found.statuses}")
-    if found.failure:
-        typer.echo(found.failure, err=True)
-        raise typer.Exit(1)
+    report(found.figures, {"statuses": dict(found.statuses), "attacks": found.attacks}, json)
 
 
-async def run_attack(
-    seconds: float, connections: int, seed: int, report: Callable[[str, float], None]
-) -> HostileResult:
+async def run_attack(seconds: float, connections: int, seed: int, show: Callable[[str, float], None]) -> HostileResult:
     """Run a simulated daemon, attack its TCP port, and send an operator's requests meanwhile."""
     with tempfile.TemporaryDirectory(prefix="slipguard-hostile-") as name, closing(bind_tcp(HOST, 0)) as probe:
         folder, port = Path(name), int(probe.getsockname()[1])
         probe.close()
-        report("starting the daemon", 0.0)
+        show("starting the daemon", 0.0)
         async with _daemon(folder, port) as pid, _attackers(port, connections, seed) as attackers:
-            web_process, statuses = _children(pid), dict[str, int]()
+            web_process, statuses = _children(pid), Counter[int]()
             times_ms: dict[str, list[float]] = {"unix": [], "tcp": []}
             token = (folder / "state" / "token").read_text().strip()
             loop = asyncio.get_running_loop()
@@ -110,21 +91,21 @@ async def run_attack(
             while loop.time() < began_s + seconds:
                 number = sum(map(len, times_ms.values()))
                 way, request = list(times_ms)[number % 2], list(REQUESTS)[number // 2 % 2]
-                report("under attack", (loop.time() - began_s) / seconds)
+                show("under attack", (loop.time() - began_s) / seconds)
                 sent_at_s = loop.time()
                 if way == "unix":
                     status = await _ask(request, folder / "s")
                 else:
                     status = await _ask(request, port, token)
                 times_ms[way].append(1e3 * (loop.time() - sent_at_s))
-                statuses[str(status)] = statuses.get(str(status), 0) + 1
+                statuses[status] += 1
                 await asyncio.sleep(PERIOD_S)
             kept = _children(pid) == web_process
             assert attackers.stdin is not None
             assert attackers.stdout is not None
             attackers.stdin.close()
             attacks = jsonlib.loads(await attackers.stdout.readline())
-    return HostileResult(seconds, connections, times_ms, statuses, attacks, kept)
+    return HostileResult(times_ms, statuses, attacks, kept)
 
 
 async def _ask(request: str, to: Path | int, token: str = "") -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from real_backgrounds import no_contact_frames, stale
 
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.datasets.mask_scores import iou
@@ -15,7 +16,6 @@ from slipguard.perception.image_quality import LIMITS, pixel_figures
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
-from tests.campaigns.real_backgrounds import no_contact_frames, stale
 from tests.campaigns.real_frames import RealFrame, real_frames
 
 pytestmark = pytest.mark.real

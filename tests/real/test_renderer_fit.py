@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ball_presses import BALL_RADIUS_MM, correlation, drawn_difference, read_presses, refined_pose
 
 from slipguard.sim.sensor_unit import SensorUnit
-from tests.campaigns.ball_presses import read_presses
-from tests.campaigns.fit_renderer import BALL_RADIUS_MM, correlation, drawn_difference, refined_pose
 
 FITTED_PRESSES = 15
 

@@ -2,26 +2,65 @@
 
 from __future__ import annotations
 
+from itertools import permutations
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from tests.campaigns.torn.command import detection_table, false_alarms
-from tests.campaigns.torn.splices import real_captures, real_good_pairs, splice_results
+from slipguard.perception.torn_frame import find_tear
+from slipguard.sim.camera_noise import CameraNoise
+from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
+from slipguard.tools.image_files import read_bgr
 
 pytestmark = pytest.mark.real
+Image = NDArray[np.uint8]
+CLEAR_LEVELS = 10.0
+"""RMS difference of the two captures at the line, gray levels: such a tear must be found."""
+
+
+def real_images(folder: Path) -> list[list[Image]]:
+    """Return the real frames of each unit."""
+    indenter, balls = folder / "anytouch2_force2", folder / "taxim_sphere"
+    units = (
+        [*sorted((indenter / "frames").glob("*.png")), indenter / "background.png"],
+        sorted(balls.glob("*.png")),
+        [*sorted((folder / "backgrounds").glob("*.png")), folder / "aurova" / "frame.png"],
+    )
+    return [[read_bgr(path) for path in paths] for paths in units]
+
+
+def spliced(first: Image, second: Image, along: str, line: int) -> Image:
+    """Return an image with the lines before `line` from the first one. along: "row" or "column"."""
+    image = second.copy()
+    part = (slice(0, line),) if along == "row" else (slice(None), slice(0, line))
+    image[part] = first[part]
+    return image
 
 
 def test_no_real_frame_is_taken_for_torn(real_data: Path) -> None:
-    found = false_alarms(real_good_pairs(real_data))
-    assert sum(count for _, count in found.values()) > 9000
-    assert [bad for bad, _ in found.values()] == [0] * len(found)
+    pairs = [pair for images in real_images(real_data) for pair in permutations(images, 2)]
+    assert len(pairs) > 9000
+    assert [find_tear(image, before) for before, image in pairs if find_tear(image, before) is not None] == []
 
 
 def test_tears_between_real_frames_are_found(real_data: Path) -> None:
-    captures = real_captures(real_data, pairs=30, seed=1)
-    found = detection_table(result for one in captures for result in splice_results(one, every=20))
-    share, at_line, count = found["real, any two"][">10"]
-    assert count > 100
-    assert share > 0.97
-    assert at_line > 0.9
+    rng, noise = np.random.default_rng(1), CameraNoise(NOISE_STD_BGR, STRIPE_STD_BGR, 1)
+    found = []
+    for images in real_images(real_data)[:2]:
+        for _ in range(30):
+            first, second = (images[k] for k in rng.choice(len(images), 2, replace=False))
+            previous = np.clip(np.rint(first + noise.next()), 0, 255).astype(np.uint8)
+            difference = second.astype(np.float32) - first
+            for along, count in (("row", 320), ("column", 240)):
+                lines = difference if along == "row" else difference.transpose(1, 0, 2)
+                smooth = cv2.blur(np.ascontiguousarray(lines), (9, 2))
+                levels = np.sqrt(np.square(smooth - smooth.mean(axis=1, keepdims=True)).mean(axis=(1, 2)))
+                clear = [line for line in range(10, count - 4, 20) if levels[line] > CLEAR_LEVELS]
+                tears = [find_tear(spliced(first, second, along, line), previous) for line in clear]
+                found += list(zip(tears, (f"{along} {line}" for line in clear), strict=True))
+    assert len(found) > 100
+    assert np.mean([tear is not None for tear, _ in found]) > 0.97
+    assert np.mean([tear == at for tear, at in found]) > 0.9

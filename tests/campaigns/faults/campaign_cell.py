@@ -5,12 +5,13 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import wraps
 from typing import Any, cast
 
 import numpy as np
 
-from slipguard.bench.grip.perception_models import PerceptionErrors
+from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
 from slipguard.config import GROUP_OF, Config, parse_config
 from slipguard.control.control_step import control_step
 from slipguard.daemon.api.handlers import RequestHandlers
@@ -20,13 +21,24 @@ from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp
-from slipguard.devices import FINGERS, FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Arm, DriverContext, Gripper, TactileSensor
+from slipguard.devices import (
+    FINGERS,
+    FRAME_HEIGHT_PX,
+    FRAME_WIDTH_PX,
+    Arm,
+    DriverContext,
+    Frame,
+    Gripper,
+    TactileSensor,
+)
+from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import Estimate
 from slipguard.registry import load_driver
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth
+from slipguard.sim.gel_view import decode_view
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World, WorldSettings
-from tests.campaigns.faults.encoded_perception import EncodedImagePerception
 
 LATENCY_S = 0.006
 """From a frame to its estimate."""
@@ -34,6 +46,8 @@ WATCHDOG_S = 0.25
 """An arm stops by itself this long after the last message of a dead daemon."""
 EXTRA_WIDTH_MM = 20.0
 """The open jaws are this much wider than the object, which shortens a run."""
+BRIGHT_LEVELS = 30.0
+"""With a larger change of light the pipeline declines: the frame does not match the background image."""
 LIFT: dict[str, object] = {"lift_height_mm": 50.0, "lift_speed_mm_s": 80.0, "tuning": {"lower_speed_mm_s": 150.0}}
 
 
@@ -120,6 +134,37 @@ class MemoryState:
     def delete_last_grasp(self) -> None:
         """Delete the stored grasp."""
         self._last = None
+
+
+class EncodedImagePerception:
+    """Estimates with the errors of `error`. mirrored: rotations have the wrong sign, as with swapped cameras."""
+
+    def __init__(self, error: PerceptionErrors, rng: np.random.Generator) -> None:
+        self.mirrored = False
+        self.last_patch = None
+        self._model = ModeledFinger(error, rng)
+
+    def keep_estimate(self, captured_at_s: float) -> None:
+        """Do nothing for a skipped frame."""
+
+    def reset_reference(self) -> None:
+        """Take a new reference from the next stable contact."""
+        self._model.reset()
+
+    def process(self, frame: Frame) -> Estimate:
+        """Return the estimate of one frame."""
+        view, light = decode_view(frame.image)
+        estimate = self._model.process(view, frame.captured_at_s, frame.sequence)
+        if max(abs(level) for level in light) > BRIGHT_LEVELS:
+            plain = replace(estimate, rotation_deg=None, sigma_deg=None, rate_deg_s=None, shift_mm=None)
+            return replace(plain, contact=True, orientation_deg=None, declined=str(DeclineReason.IMAGE))
+        if not estimate.contact:
+            return replace(estimate, skipped="no contact", declined="no contact")
+        if estimate.rotation_deg is None and estimate.declined is None:
+            return replace(estimate, declined="no reference yet")
+        if self.mirrored and estimate.rotation_deg is not None:
+            return replace(estimate, rotation_deg=-estimate.rotation_deg, rate_deg_s=-(estimate.rate_deg_s or 0.0))
+        return estimate
 
 
 class CampaignCell:

@@ -37,7 +37,6 @@ BACK_S = 40.0
 """A device that is connected again must be in use again by then."""
 POLL_S = 0.05
 HOLD_S, REST_S = (1.0, 10.0), (5.0, 60.0)
-UNDISTURBED_HOLD_S = 2.0
 MANUAL_MM_S = 250.0
 FAULT_S = (0.2, 6.0)
 HELD_FAULTS = (
@@ -65,11 +64,11 @@ def place_object(world: World, name: str, seed: int, fps: float, now_s: float) -
 
 
 class WorkShift:
-    """Operates one service on one world; `counts` tallies events. undisturbed: no faults and no pauses."""
+    """Operates one service on one world; `counts` tallies events."""
 
-    def __init__(self, service: Service, world: World, seed: int, fps: float, *, undisturbed: bool = False) -> None:
+    def __init__(self, service: Service, world: World, seed: int, fps: float) -> None:
         self.counts: Counter[str] = Counter()
-        self._service, self._world, self._fps, self._undisturbed = service, world, fps, undisturbed
+        self._service, self._world, self._fps = service, world, fps
         self._handlers = RequestHandlers(service)
         self._random = random.Random(seed)
         self._seed = seed
@@ -105,8 +104,7 @@ class WorkShift:
         self._world.clear(now())
         await self._lower_manually()
         self.counts["cycles"] += 1
-        if not self._undisturbed:
-            await self._rest()
+        await self._rest()
 
     async def _lower_manually(self) -> None:
         """Lower the arm manually, as after a fault while lifted: otherwise it reaches its upper limit."""
@@ -123,8 +121,8 @@ class WorkShift:
         await self._until_accepted(LiftRequest(), self._over)
         await self._until(lambda: service.phase is not Phase.LIFTING, STEP_S, f"{name}: the lift does not end")
         self.counts["lifts"] += 1
-        await asyncio.sleep(UNDISTURBED_HOLD_S if self._undisturbed else self._random.uniform(*HOLD_S))
-        if not self._undisturbed and self._random.random() < HELD_FAULT_SHARE:
+        await asyncio.sleep(self._random.uniform(*HOLD_S))
+        if self._random.random() < HELD_FAULT_SHARE:
             await self._fault(*self._random.choice(HELD_FAULTS))
         await self._until(lambda: service.ready_to_lift or self._over(), STEP_S, f"{name}: not settled")
         if service.phase is Phase.HOLDING:
