@@ -39,43 +39,6 @@ RUN_HERE = (
     "python -m tests.campaigns --help",
 )
 """Commands that need neither devices nor minutes: run as they stand."""
-UNIT, WIRE = "tests/unit", "tests/wire"
-RUN_BY = {
-    "slipguard --sim": f"{UNIT}/cli/test_cli_sim.py",
-    "slipguard bench": f"{UNIT}/bench/test_bench_command.py",
-    "slipguard calibrate": f"{UNIT}/cli/test_cli_calibrate.py",
-    "slipguard check": f"{UNIT}/cli/test_cli_misuse.py",
-    "slipguard ctl": f"{UNIT}/cli/test_ctl.py",
-    "slipguard ctl clear": f"{WIRE}/test_cell_commands.py",
-    "slipguard doctor": f"{WIRE}/test_doctor.py",
-    "slipguard emulate": f"{UNIT}/cli/test_cli_options.py",
-    "slipguard evaluate": f"{UNIT}/evaluation/test_evaluation_files.py",
-    "slipguard evaluate run": "tests/loop/test_evaluate_run.py",
-    "slipguard install": f"{UNIT}/cli/test_install.py",
-    "slipguard measure": f"{UNIT}/cli/test_cli_options.py",
-    "slipguard replay": f"{UNIT}/cli/test_cli_options.py",
-    "slipguard run": "tests/service/test_service.py",
-    "slipguard run --sim": "drivers/slipguard_ros/test/rosprocesses.py",
-    "slipguard stress": f"{UNIT}/stress/test_stress.py",
-    "slipguard train": f"{UNIT}/training/test_train.py",
-    "python -m tests.campaigns ablations": f"{UNIT}/campaigns/test_ablations.py",
-    "python -m tests.campaigns api-load": f"{UNIT}/campaigns/test_api_load.py",
-    "python -m tests.campaigns faults": f"{UNIT}/campaigns/test_fault_campaign.py",
-    "python -m tests.campaigns fit-sigma": f"{UNIT}/campaigns/test_fit_sigma.py",
-    "python -m tests.campaigns fuzz": f"{UNIT}/campaigns/test_fuzz.py",
-    "python -m tests.campaigns hostile-clients": f"{UNIT}/campaigns/test_hostile_clients.py",
-    "python -m tests.campaigns network-table": f"{UNIT}/campaigns/test_paper_networks.py",
-    "python -m tests.campaigns rotated-presses": f"{UNIT}/campaigns/test_rotated_presses.py",
-    "python -m tests.campaigns soak": f"{UNIT}/campaigns/test_soak.py",
-    "python -m tests.campaigns bench-table": f"{UNIT}/campaigns/test_bench_table.py",
-}
-"""By the first words of a command: the file that runs it, with other devices, sizes or paths."""
-NOT_RUN = {
-    "python -m tests.campaigns recording-cost": "minutes of real time on an idle machine",
-    "python -m tests.campaigns make-timing-network": "the network that it makes is in models/",
-    "python -m tests.campaigns torn-frames": "needs real images; its short form is a test",
-}
-"""Commands that are parsed only, and why."""
 TRY_IT = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/slipguard --sim"
 TEST_IT = "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"
 
@@ -128,32 +91,6 @@ def test_a_wrong_command_is_detected() -> None:
     for wrong in ("ctl lift --height 3", "ctl lift --height-mm high", "--simulate", "ctl lit", "emulate cell --fps 50"):
         with pytest.raises(BaseException, match=r"(?i)no such|valid number|not one of"):
             check("slipguard", wrong)
-
-
-def named(command: Any, words: list[str]) -> str:
-    """Return the words of a command line that name the command."""
-    found = []
-    for word in words:
-        if word in getattr(command, "commands", {}):
-            command = command.commands[word]
-            found.append(word)
-    return " ".join(found)
-
-
-@each_file
-def test_every_command_is_run_by_a_test(path: Path) -> None:
-    for program, arguments in sorted(commands(path)):
-        line = f"{program} {arguments}".strip()
-        name = f"{program} {named(PROGRAMS.get(program), arguments.split())}".strip()
-        if program not in PROGRAMS or name in ("slipguard", *NOT_RUN) or line in RUN_HERE:
-            continue
-        keys = [key for key in RUN_BY if f"{line} ".startswith(f"{key} ") or f"{name} ".startswith(f"{key} ")]
-        assert keys, f"`{line}`: name the test that runs it in RUN_BY"
-        text = (ROOT / RUN_BY[max(keys, key=len)]).read_text(encoding="utf-8")
-        for word in name.removeprefix(program).split():
-            assert re.search(rf"\b{word.replace('-', '[-_]')}\b", text), (
-                f"`{line}`: {RUN_BY[max(keys, key=len)]} does not run {word}"
-            )
 
 
 @pytest.mark.campaign
