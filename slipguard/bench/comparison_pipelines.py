@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import ModelError
-from slipguard.perception.axial_angle import axial_difference_deg, wrap_axial_deg
+from slipguard.perception.axis import axial_difference_deg, wrap_axial_deg
 from slipguard.perception.estimate import Estimate
 
 MIN_AREA_PX = 200

@@ -14,7 +14,7 @@ from slipguard.devices import TactileSensor
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor.gripper import describe_times
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen, InputError
-from slipguard.perception.torn_frame import find_tear
+from slipguard.perception.image_quality import find_tear
 
 OBSERVE_S = 2.0
 FIRST_FRAME_S = 4.0

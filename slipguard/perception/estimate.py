@@ -1,13 +1,42 @@
-"""What perception returns for one frame of one finger, and the timer that fills `Estimate.stage_ms`."""
+"""What perception returns for one frame of one finger, and the reasons why a frame gives no rotation.
+
+`Estimate.declined` starts with one of these reasons. Details follow after a colon: the measured value, the limit, and
+what to do. Match on `Estimate.decline_reason`, never on the whole text: the value changes from frame to frame.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 from pydantic.json_schema import SkipJsonSchema
 
-from slipguard.perception.declined import DeclineReason
+
+class DeclineReason(StrEnum):
+    """Why there is no rotation, or no shift."""
+
+    NO_CONTACT = "no contact"
+    NO_REFERENCE = "no reference yet"
+    NO_BACKGROUND = "no background image"
+    CHECKING_STORED_REFERENCE = "checking the stored reference"
+    CONTACT_TOO_SMALL = "contact too small"
+    CONTACT_CHANGED = "contact changed too much since the reference"
+    ROUND = "round contact"
+    CLIPPED = "clipped by the frame"
+    NO_MIDDLE_LINE = "no straight middle line"
+    UNCERTAIN = "too uncertain"
+    JUMP = "implausible jump"
+    SEVERAL_ROTATIONS = "texture fits at several rotations"
+    SHIFT_AMBIGUOUS = "periodic texture, shift ambiguous"
+    GEL_MEMORY = "gel shows an earlier imprint"
+    NOT_A_NUMBER = "not a number"
+    IMAGE = "image unusable"
+
+
+def explain(reason: DeclineReason, detail: str) -> str:
+    """Return a reason with the value, the limit and what to do, as in "round contact: aspect 1.08, limit 1.15"."""
+    return f"{reason.value}: {detail}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,23 +129,3 @@ class Estimate:
             slides=False,
             declined=declined,
         )
-
-
-class StageTimer:
-    """Collects milliseconds per pipeline stage. The stage names are keys of `bench`'s JSON.
-
-    clock: returns seconds; None leaves `stage_ms` empty.
-    """
-
-    def __init__(self, clock: Callable[[], float] | None) -> None:
-        self._clock = clock
-        self.stage_ms: dict[str, float] = {}
-        self._since_s = 0.0 if clock is None else clock()
-
-    def mark(self, stage: str) -> None:
-        """Add the time since the last mark to `stage`; a stage may be marked more than once."""
-        if self._clock is None:
-            return
-        now_s = self._clock()
-        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now_s - self._since_s)
-        self._since_s = now_s

@@ -13,25 +13,29 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import FrameCorrupt, FrameTorn, InputError
-from slipguard.perception.axial_angle import wrap_axial_deg
-from slipguard.perception.change_detector import ChangeDetector
-from slipguard.perception.contact_gate import BLOCKS_HIGH, BLOCKS_WIDE, Blocks, ContactGate, block_means, blocks_near
-from slipguard.perception.dead_lines import DeadLines
-from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import Estimate, StageTimer
-from slipguard.perception.image_quality import ImageQuality
+from slipguard.perception.axis import wrap_axial_deg
+from slipguard.perception.background import DeadLines
+from slipguard.perception.estimate import DeclineReason, Estimate, explain
+from slipguard.perception.image_quality import REFUSED_MAX_S, ImageQuality, find_tear
 from slipguard.perception.patch import Patch, find_patch, resize_mask_to_frame
-from slipguard.perception.reference import RotationMeasurement
-from slipguard.perception.rotation_meter import RotationMeter
+from slipguard.perception.rotation_meter import RotationMeasurement, RotationMeter
 from slipguard.perception.settings import PerceptionSettings
 from slipguard.perception.shift_meter import ShiftMeasurement
-from slipguard.perception.skipping import ALL_SKIPS, UNCHANGED, Skips
-from slipguard.perception.torn_frame import REFUSED_MAX_S, find_tear
+from slipguard.perception.skipping import (
+    ALL_SKIPS,
+    BLOCKS_HIGH,
+    BLOCKS_WIDE,
+    UNCHANGED,
+    Blocks,
+    ChangeDetector,
+    ContactGate,
+    Skips,
+    block_means,
+    blocks_near,
+)
 
 SEGMENT_S = 0.2
 """The network runs again after this time at the latest: on every twelfth frame at 60 Hz."""
-STILL_SEGMENT_S = 2.0
-"""The same, if the image has not changed since the network last ran."""
 
 
 class ContactSegmenter(Protocol):
@@ -48,16 +52,16 @@ class ContactSegmenter(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WholeContact:
-    """The last segmented contact: block means, and its estimate.
+    """The last segmented contact.
 
-    near: (1200,) bool, the blocks in and next to it. away: (1200,) float32, 0 for these and the blocks next to them,
-    which it may reach until the next one, 1 elsewhere.
+    blocks: (1200, 3) block means. near: (1200,) bool, the blocks in and next to it. away: (1200,) float32, 0 for these
+    and the blocks next to them, which it may reach until the next one, 1 elsewhere.
     """
 
     blocks: Blocks
     near: NDArray[np.bool_]
     away: NDArray[np.float32]
-    estimate: Estimate
+    segmented_s: float
 
 
 class Pipeline:
@@ -100,7 +104,7 @@ class Pipeline:
         except FrameCorrupt as error:
             raise InputError(f"background image: {error}") from error
         self._quality = ImageQuality(background)
-        self._good: tuple[NDArray[np.uint8], float] | None = None
+        self._previous: tuple[NDArray[np.uint8], float] | None = None
         """The last frame that was not refused as torn, and its capture time."""
         self._segmenter = segmenter
         self._settings = settings
@@ -111,13 +115,11 @@ class Pipeline:
         self._threshold: float = segmenter.threshold if settings.threshold is None else settings.threshold
         self._frame_px = FRAME_WIDTH_PX / segmenter.input_size[0]
         self._skips = skips
-        self._changes: ChangeDetector | None = None
-        if settings.skip_unchanged and skips.unchanged and self._gate.noise_known:
-            self._changes = ChangeDetector(self._gate.inverse_std, self._gate.background)
+        self._skips_unchanged = settings.skip_unchanged and skips.unchanged and self._gate.noise_known
+        self._changes = ChangeDetector(self._gate)
         self._patch: Patch | None = None
         self._measured: Estimate | None = None
         self._whole: _WholeContact | None = None
-        self._before_change: tuple[float, Estimate | None, _WholeContact | None] = (math.inf, None, None)
         self.reset_reference()
 
     def reset_reference(self) -> None:
@@ -168,45 +170,32 @@ class Pipeline:
             FrameTorn: Its two parts are from different captures.
         """
         timer = StageTimer(self._timer)
-        now_s = frame.captured_at_s
-        image = self._dead_lines.interpolate(frame.image)
+        image, now_s = self._dead_lines.interpolate(frame.image), frame.captured_at_s
         blocks = block_means(image)
         if not math.isfinite(now_s):
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
-        good, self._good = self._good, (image, now_s)
-
-        unchanged = self._changes is not None and self._changes.unchanged(blocks)
-        if self._changes is not None and self._changes.restored:  # what was measured since then is not valid
-            since_s, measured, whole = self._before_change
-            self._measured, self._whole = (measured, whole) if since_s == self._changes.since_s else (None, None)
-        repeated = self._repeat(frame, timer) if unchanged else None
-        if repeated is not None:
-            timer.mark("gate")
-            return repeated
-
+        previous, self._previous = self._previous, (image, now_s)
+        unchanged = self._skips_unchanged and self._changes.unchanged(blocks)
         timer.mark("gate")
-        by_texture = self._measure_texture(image, blocks, frame, unchanged, timer)
+        if unchanged and self._may_repeat(now_s):
+            return self._repeated(frame, timer)
+        by_texture = self._measure_texture(image, blocks, frame, timer)
         if by_texture is not None:  # even in a torn frame: a texture that has moved as a whole is in between its parts
-            self._note_measured(blocks, self._whole.near if self._whole is not None else None, unchanged, by_texture)
-            return by_texture
-
+            return self._note_measured(blocks, None if self._whole is None else self._whole.near, unchanged, by_texture)
         if self._skips.no_contact and not self._gate.may_be_contact(blocks):
             self._forget_measured()
             self._patch = None
             unusable = self._quality.check(image, blocks, None)
             timer.mark("gate")
-            if unusable is not None:
-                return self._declined(frame, unusable, timer)
-            return self._declined(frame, DeclineReason.NO_CONTACT, timer, skipped=str(DeclineReason.NO_CONTACT))
-
-        recent = good is not None and 0.0 <= now_s - good[1] < REFUSED_MAX_S
-        tear = find_tear(image, good[0]) if good is not None and recent else None
-        timer.mark("gate")
-        if tear is not None:
-            self._good = good
-            raise FrameTorn(
-                f"frame {frame.sequence} is torn at {tear}: its parts are from different captures; it is skipped"
-            )
+            no_contact = str(DeclineReason.NO_CONTACT)
+            return self._declined(frame, unusable or no_contact, timer, None if unusable else no_contact)
+        if previous is not None and 0.0 <= now_s - previous[1] < REFUSED_MAX_S:
+            tear = find_tear(image, previous[0])
+            timer.mark("gate")
+            if tear is not None:
+                self._previous = previous
+                parts = f"frame {frame.sequence} is torn at {tear}: its parts are from different captures"
+                raise FrameTorn(f"{parts}; it is skipped")
         return self._measure_segmented(image, blocks, frame, unchanged, timer)
 
     def _measure_segmented(
@@ -214,10 +203,7 @@ class Pipeline:
     ) -> Estimate:
         """Return the estimate by the network's contact."""
         self._whole = None
-        probability = self._segmenter.segment(image, self._background)
-        timer.mark("segment")
-        patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
-        self._patch = patch
+        patch = self._patch = self._find_patch(image, timer)
         near = np.zeros(len(blocks), np.bool_) if patch is None else blocks_near(patch.full_mask())
         unusable = self._quality.check(image, blocks, near)
         timer.mark("regions")
@@ -225,29 +211,27 @@ class Pipeline:
             self._forget_measured()
             return self._declined(frame, unusable, timer)
         if patch is None:
-            estimate = self._declined(frame, DeclineReason.NO_CONTACT, timer)
-            self._note_measured(blocks, None, unchanged, estimate)
-            return estimate
-
-        measurement = self._meter.measure(image, patch, frame.captured_at_s, timer)
+            return self._note_measured(blocks, None, unchanged, self._declined(frame, DeclineReason.NO_CONTACT, timer))
+        measurement = self._meter.measure(image, patch, frame.captured_at_s, timer.mark)
         estimate = self._estimate(frame, patch, measurement, timer)
         timer.mark("track")
         measured = estimate.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
         if measured and measurement.shift is not None:
             away = (~blocks_near(near.reshape(BLOCKS_HIGH, BLOCKS_WIDE).astype(np.uint8))).astype(np.float32)
-            self._whole = _WholeContact(blocks, near, away, estimate)
-        self._note_measured(blocks, near, unchanged, estimate)
-        return estimate
+            self._whole = _WholeContact(blocks, near, away, frame.captured_at_s)
+        return self._note_measured(blocks, near, unchanged, estimate)
+
+    def _find_patch(self, image: NDArray[np.uint8], timer: StageTimer) -> Patch | None:
+        probability = self._segmenter.segment(image, self._background)
+        timer.mark("segment")
+        return find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
 
     def _measure_texture(
-        self, image: NDArray[np.uint8], blocks: Blocks, frame: Frame, unchanged: bool, timer: StageTimer
+        self, image: NDArray[np.uint8], blocks: Blocks, frame: Frame, timer: StageTimer
     ) -> Estimate | None:
         """Return the estimate by the texture alone, if the contact has only moved since it was segmented."""
         whole, patch, now_s = self._whole, self._patch, frame.captured_at_s
-        if whole is None or patch is None or not self._skips.whole:
-            return None
-        still = unchanged and self._changes is not None and whole.estimate.captured_at_s >= self._changes.since_s
-        if not 0.0 <= now_s - whole.estimate.captured_at_s < (STILL_SEGMENT_S if still else SEGMENT_S):
+        if whole is None or patch is None or not self._skips.whole or not 0.0 <= now_s - whole.segmented_s < SEGMENT_S:
             return None
         if self._gate.changed(blocks, whole.blocks, whole.away):
             return None
@@ -302,33 +286,35 @@ class Pipeline:
         self.reset_reference()
         image = self._dead_lines.interpolate(image)
         blocks = block_means(image)
-        probability = self._segmenter.segment(image, self._background)
-        patch = find_patch(probability, self._threshold, self._settings.min_area_px, self._frame_px)
-        if patch is None:
+        timer = StageTimer(None)
+        patch = self._find_patch(image, timer)
+        if patch is None or self._quality.check(image, blocks, blocks_near(patch.full_mask())) is not None:
             return False
-        if self._quality.check(image, blocks, blocks_near(patch.full_mask())) is not None:
-            return False
-        self._meter.take_reference(image, patch, now_s, StageTimer(None), rotation_deg)
+        self._meter.take_reference(image, patch, now_s, timer.mark, rotation_deg)
         return True
 
-    def _repeat(self, frame: Frame, timer: StageTimer) -> Estimate | None:
-        """Return the last estimate for an unchanged image, if it is recent, and the contact clear and long at rest."""
-        last, changes, now_s = self._measured, self._changes, frame.captured_at_s
-        if last is None or changes is None or not 0.0 <= now_s - last.measured_at_s < self._settings.refresh_s:
-            return None
-        if last.contact and self._meter.reference is None:
-            return None  # a reference needs measured frames
-        if not changes.at_rest(now_s) or (last.contact and not changes.sensitive(last.rotation_deg is not None)):
-            return None
-        rate = last.rate_deg_s
+    def _may_repeat(self, now_s: float) -> bool:
+        """Return whether the last estimate is recent, and its contact clear and at rest."""
+        last = self._measured
+        if last is None or not 0.0 <= now_s - last.measured_at_s < self._settings.refresh_s:
+            return False
+        if last.contact and not self.has_reference:
+            return False  # a reference needs measured frames
+        return self._changes.at_rest(now_s, with_rotation=last.rotation_deg is not None)
+
+    def _repeated(self, frame: Frame, timer: StageTimer) -> Estimate:
+        """Return the last estimate for an unchanged image."""
+        last, now_s = self._measured, frame.captured_at_s
+        assert last is not None
+        rate_deg_s = last.rate_deg_s
         if last.rotation_deg is not None:
             self._meter.note_unchanged(now_s)
-            rate = self._meter.rate_deg_s(now_s)
+            rate_deg_s = self._meter.rate_deg_s(now_s)
         return replace(
             last,
             sequence=frame.sequence,
             captured_at_s=now_s,
-            rate_deg_s=rate,
+            rate_deg_s=rate_deg_s,
             skipped=UNCHANGED,
             stage_ms=timer.stage_ms,
         )
@@ -351,17 +337,15 @@ class Pipeline:
 
     def _note_measured(
         self, blocks: Blocks, near: NDArray[np.bool_] | None, unchanged: bool, estimate: Estimate
-    ) -> None:
+    ) -> Estimate:
         self._measured = estimate
-        if self._changes is not None:
+        if self._skips_unchanged:
             self._changes.add(blocks, near, estimate.captured_at_s, unchanged)
-            if unchanged:
-                self._before_change = self._changes.since_s, estimate, self._whole
+        return estimate
 
     def _forget_measured(self) -> None:
-        self._measured = self._whole = None
-        if self._changes is not None:
-            self._changes.reset()
+        self._measured, self._whole = None, None
+        self._changes.reset()
 
     def _shift_declined(self, shift: ShiftMeasurement) -> str | None:
         if shift.period_px is None:
@@ -376,3 +360,23 @@ class Pipeline:
         c, s = {0: (1, 0), 90: (0, 1), 180: (-1, 0), 270: (0, -1)}[self._mounting_deg]
         right, up = shift_px[0] / self._px_per_mm, -shift_px[1] / self._px_per_mm
         return (c * right - s * up, s * right + c * up)
+
+
+class StageTimer:
+    """Collects milliseconds per pipeline stage. The stage names are keys of `bench`'s JSON.
+
+    clock: returns seconds; None leaves `stage_ms` empty.
+    """
+
+    def __init__(self, clock: Callable[[], float] | None) -> None:
+        self._clock = clock
+        self.stage_ms: dict[str, float] = {}
+        self._since_s = 0.0 if clock is None else clock()
+
+    def mark(self, stage: str) -> None:
+        """Add the time since the last mark to `stage`; a stage may be marked more than once."""
+        if self._clock is None:
+            return
+        now_s = self._clock()
+        self.stage_ms[stage] = self.stage_ms.get(stage, 0.0) + 1e3 * (now_s - self._since_s)
+        self._since_s = now_s

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.declined import DeclineReason, explain
+from slipguard.perception.estimate import DeclineReason, explain
 from slipguard.perception.texture_map import HEIGHT_PX, WIDTH_PX, Field, ImageWindow, TextureMap
 from slipguard.perception.texture_template import EDGE_PX, MOTIONS, TextureTemplate
 

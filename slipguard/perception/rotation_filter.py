@@ -13,8 +13,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import RotationEstimate
+from slipguard.perception.estimate import DeclineReason, RotationEstimate, explain
 
 ACCELERATION_DEG_S2 = 20_000.0
 """Largest assumed acceleration of an object that rotates between two frames: a rod of 8 cm that is held at its end

@@ -1,19 +1,22 @@
-"""Measures rotation and shift of a contact since the reference."""
+"""Takes the reference and measures rotation and shift of later contacts against it.
+
+A contact that has not become stable in time becomes the reference as it is. While it grows, a later contact replaces
+it, and the rotation until then is carried over.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.axial_angle import wrap_axial_deg
-from slipguard.perception.axis import estimate_axis, rotation_between_axes
-from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import AxisEstimate, RotationEstimate, StageTimer
+from slipguard.perception.axis import estimate_axis, rotation_between_axes, wrap_axial_deg
+from slipguard.perception.estimate import AxisEstimate, DeclineReason, RotationEstimate, explain
 from slipguard.perception.patch import Patch
-from slipguard.perception.reference import Reference, ReferenceSelector, RotationMeasurement
 from slipguard.perception.registration import Registration
 from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
 from slipguard.perception.settings import PerceptionSettings
@@ -22,12 +25,129 @@ from slipguard.perception.texture_map import TextureMapReader
 from slipguard.perception.texture_template import make_texture_template
 from slipguard.perception.texture_tracker import TextureTracker, TrackedTexture
 
+STABLE_FRAMES = 5
+STABLE_SHARE = 0.05
+"""The contact area is stable if the last five frames differ by less than this share of it."""
+STABLE_WAIT_S = 0.095
+"""A contact that is not stable after this time becomes the reference as it is: in three or six frames, below 0.1 s."""
+GROWN = 1.5
+CARRIED_SIGMA_DEG = 1.5
+"""While the force grows, a reference that was not stable follows: it is replaced when the contact area has grown by
+this factor, if the rotation until then is known to this sigma; that rotation is added from then on."""
 ALIKE, ROTATION_DEG, SHIFT_PX = 0.03, 8.0, 3.0
 """Changes up to which a contact moves as a whole since it was segmented: correlation with the reference, rotation, and
 shift (texture pixels). Beyond, the network runs again."""
 SMOOTH_S = 0.02
 """Along a smooth shaft only the ends show a shift, which the network finds: it runs on every second frame at 60 Hz, so
 that a slide is seen one frame later at most."""
+
+Mark = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What rotations are measured against.
+
+    image: the reference frame, (320, 240, 3) uint8. axis: the patch's axis. texture: follows the texture in the
+    contact; None without a background image, for a single axis estimator, or if the contact has too little texture.
+    shift: measures the shift since then.
+    """
+
+    image: NDArray[np.uint8]
+    patch: Patch
+    axis: AxisEstimate
+    texture: TextureTracker | None
+    shift: ShiftMeter
+
+    def prepare(self) -> None:
+        """Compute one thing that later frames may need, if any is missing; called in frames that take little time."""
+        for owner, name in ((self.shift, "period"), (self.texture, "similar_deg")):
+            if owner is not None and name not in vars(owner):
+                getattr(owner, name)
+                return
+
+
+@dataclass(frozen=True, slots=True)
+class RotationMeasurement:
+    """Rotation since the reference, its shift (None without a reference), and the orientation of the contact's axis.
+
+    orientation_deg: axial, in (-90, 90], counter-clockwise in the image; None if the rotation or the axis is unknown.
+    """
+
+    rotation: RotationEstimate
+    shift: ShiftMeasurement | None
+    orientation_deg: float | None
+
+
+class ReferenceSelector:
+    """Decides when a contact becomes the reference, and carries the rotation over when one replaces another.
+
+    Args:
+        first: Whether the first contact becomes the reference, stable or not.
+    """
+
+    def __init__(self, first: bool) -> None:
+        self._first = first
+        self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
+        self._contact_since_s: float | None = None
+        self._carried: RotationMeasurement | None = None
+        self.provisional = False
+        """Whether the reference was not stable when it was taken, and may still be replaced."""
+
+    @property
+    def carried_deg(self) -> float:
+        """Rotation up to the present reference; 0 for the first one."""
+        return 0.0 if self._carried is None else self._carried.rotation.rotation_deg or 0.0
+
+    def carry(self, found: RotationMeasurement | None) -> None:
+        """Set the measurement up to the present reference; None for a first one."""
+        self._carried = found
+
+    def note_no_contact(self) -> None:
+        """Require a new run of stable frames for a reference that is not taken yet."""
+        self._areas.clear()
+        self._contact_since_s = None
+
+    def is_stable(self, patch: Patch) -> bool:
+        """Return whether a patch may become the reference."""
+        self._areas.append(patch.area_px)
+        if self._first:
+            return True
+        largest, smallest = max(self._areas), min(self._areas)
+        return len(self._areas) == STABLE_FRAMES and largest - smallest < STABLE_SHARE * largest
+
+    def waited(self, now_s: float) -> bool:
+        """Return whether the contact has lasted long enough for a reference although its area still changes."""
+        if self._contact_since_s is None or now_s < self._contact_since_s:
+            self._contact_since_s = now_s
+        return now_s - self._contact_since_s >= STABLE_WAIT_S
+
+    def outgrown(self, reference: Reference, rotation: RotationEstimate, patch: Patch, stable: bool) -> bool:
+        """Return whether a reference that was not stable is to be replaced by this patch, which has grown."""
+        if not self.provisional:
+            return False
+        if rotation.sigma_deg is None or rotation.sigma_deg > CARRIED_SIGMA_DEG:
+            return False
+        self.provisional = not stable
+        return patch.area_px > GROWN * reference.patch.area_px
+
+    def with_carried(self, found: RotationMeasurement) -> RotationMeasurement:
+        """Add the rotation up to the present reference."""
+        if self._carried is None:
+            return found
+        rotation, before = found.rotation, self._carried.rotation
+        before_deg, before_sigma_deg = before.rotation_deg or 0.0, before.sigma_deg or 0.0
+        if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
+            sigma_deg = math.hypot(rotation.sigma_deg, before_sigma_deg)
+            rotation = replace(rotation, rotation_deg=rotation.rotation_deg + before_deg, sigma_deg=sigma_deg)
+        shift, before_shift = found.shift, self._carried.shift
+        if shift is not None and before_shift is not None:
+            if before_shift.shift_px is None:
+                shift = replace(shift, shift_px=None, period_px=shift.period_px or before_shift.period_px)
+            elif shift.shift_px is not None:
+                (dx, dy), (before_x, before_y) = shift.shift_px, before_shift.shift_px
+                shift = replace(shift, shift_px=(dx + before_x, dy + before_y))
+        return replace(found, rotation=rotation, shift=shift)
 
 
 class RotationMeter:
@@ -76,19 +196,19 @@ class RotationMeter:
         """Note that the frame of `now_s` is not measured, and that its rotation is known to be unchanged."""
         self._rotations.note_kept(now_s)
 
-    def measure(self, image: NDArray[np.uint8], patch: Patch, now_s: float, timer: StageTimer) -> RotationMeasurement:
+    def measure(self, image: NDArray[np.uint8], patch: Patch, now_s: float, mark: Mark) -> RotationMeasurement:
         """Measure rotation and shift since the reference, which this patch may become.
 
         Args:
             image: The frame, (320, 240, 3) uint8 BGR.
             patch: The contact in it.
             now_s: Its capture time.
-            timer: Collects the time per stage.
+            mark: Called at the end of a stage with its name.
         """
         choice = self._choice
         stable = choice.is_stable(patch)
         if self.reference is not None:
-            found = self._measure(self.reference, image, patch, now_s, timer)
+            found = self._measure(self.reference, image, patch, now_s, mark)
             if not choice.outgrown(self.reference, found.rotation, patch, stable):
                 return choice.with_carried(found)
             choice.carry(choice.with_carried(found))
@@ -96,9 +216,9 @@ class RotationMeter:
             choice.carry(None)
         else:
             return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, None)
-        reference = self.take_reference(image, patch, now_s, timer)
+        reference = self.take_reference(image, patch, now_s, mark)
         choice.provisional = not stable
-        return choice.with_carried(self._measure(reference, image, patch, now_s, timer))
+        return choice.with_carried(self._measure(reference, image, patch, now_s, mark))
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
@@ -132,7 +252,7 @@ class RotationMeter:
         image: NDArray[np.uint8],
         patch: Patch,
         now_s: float,
-        timer: StageTimer,
+        mark: Mark,
         rotation_deg: float | None = None,
     ) -> Reference:
         """Make a patch the reference and return it.
@@ -141,10 +261,10 @@ class RotationMeter:
             image: The frame, (320, 240, 3) uint8 BGR.
             patch: The contact in it.
             now_s: The current time.
-            timer: Collects the time per stage.
+            mark: Called at the end of a stage with its name.
             rotation_deg: The last known rotation since a stored reference; None: the patch is the current one.
         """
-        axis = self._axis(patch, timer)
+        axis = self._axis(patch, mark)
         template = None
         if self._reader is not None:
             self._reader.learn(image, patch)
@@ -153,7 +273,7 @@ class RotationMeter:
         self.reference = Reference(image, patch, axis, texture, ShiftMeter(template, patch))
         self._rotations.start(now_s, rotation_deg or 0.0, unseen=rotation_deg is not None)
         self._segmented = self._tracked = None
-        timer.mark("reference")
+        mark("reference")
         return self.reference
 
     def _measure(
@@ -162,7 +282,7 @@ class RotationMeter:
         image: NDArray[np.uint8],
         patch: Patch,
         now_s: float,
-        timer: StageTimer,
+        mark: Mark,
     ) -> RotationMeasurement:
         """Measure rotation and shift since the reference."""
         self._segmented = None
@@ -175,13 +295,13 @@ class RotationMeter:
         elif self._reader is not None:
             rotation = RotationEstimate(None, None, DeclineReason.CONTACT_TOO_SMALL)
         else:
-            rotation = self._rotation_of_axis(reference, self._axis(patch, timer), now_s)
-        timer.mark("relief")  # the texture; the name is a key of the JSON of `bench`
+            rotation = self._rotation_of_axis(reference, self._axis(patch, mark), now_s)
+        mark("relief")  # the texture; the name is a key of the JSON of `bench`
         return self._checked(reference, rotation, reference.shift.measure(now_s, patch, found))
 
-    def _axis(self, patch: Patch, timer: StageTimer) -> AxisEstimate:
+    def _axis(self, patch: Patch, mark: Mark) -> AxisEstimate:
         axis = estimate_axis(patch, self._axis_estimator, self._settings.round_aspect)
-        timer.mark("angle")
+        mark("angle")
         return axis
 
     def _track(self, texture: TextureTracker, image: NDArray[np.uint8], patch: Patch, now_s: float) -> TrackedTexture:

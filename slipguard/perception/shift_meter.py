@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import DeclineReason
 from slipguard.perception.patch import Patch
 from slipguard.perception.texture_map import REDUCTION
 from slipguard.perception.texture_template import TextureTemplate

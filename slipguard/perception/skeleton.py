@@ -1,71 +1,9 @@
-"""The skeleton of a patch (thinning) and its middle line: the skeleton without branches into corners."""
+"""Thins a mask to its skeleton: Guo-Hall thinning on one Python integer."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-
-from slipguard.perception.patch import Patch
-
-CORNER_SLOPE = 0.5
-"""Along a line of the skeleton the distance to the contour changes by the sine of half the angle between the two sides
-that it bisects: 0.7 towards a right corner, near 0 along a bar. A steeper line is a branch into a corner."""
-CUT_PADDING_PX = 12
-"""How far a patch cut by the frame is extended beyond it, network pixels: its line must not fork at the cut."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MiddleLine:
-    """The pixels of the skeleton that define the axis.
-
-    x_px, y_px: crop coordinates, right and down. weight: distance to the contour, network pixels.
-    share: share of the skeleton. skeleton: (h, w) uint8, the whole skeleton, on the thinned pixels of the crop.
-    """
-
-    x_px: NDArray[np.float64]
-    y_px: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    share: float
-    skeleton: NDArray[np.uint8]
-
-
-def middle_line(patch: Patch, step: int = 1) -> MiddleLine:
-    """Thin a patch and keep the pixels that are on no corner branch and no closer than half a width to a cut side.
-
-    step: only every step-th row and column is thinned, which takes about step cubed times less time.
-    """
-    sides, padding = patch.clipped, CUT_PADDING_PX // step
-    top, bottom, left, right = (padding * cut for cut in (sides.top, sides.bottom, sides.left, sides.right))
-    mask = np.ascontiguousarray(patch.mask[::step, ::step])
-    rows, columns = mask.shape
-    if sides.any:
-        mask = np.asarray(cv2.copyMakeBorder(mask, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
-    inside = cv2.distanceTransform(mask, cv2.DIST_L2, 5)
-    skeleton = thin(mask)
-    skeleton = skeleton[top : top + rows, left : left + columns]
-    y, x = np.nonzero(skeleton)
-    slope_x = cv2.Sobel(inside, cv2.CV_32F, 1, 0, ksize=5, scale=1 / 128)[y + top, x + left]
-    slope_y = cv2.Sobel(inside, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128)[y + top, x + left]
-    weight = inside[y + top, x + left]
-    keep = slope_x**2 + slope_y**2 < CORNER_SLOPE**2
-    if sides.left:
-        keep &= x > weight
-    if sides.top:
-        keep &= y > weight
-    if sides.right:
-        keep &= columns - 1 - x > weight
-    if sides.bottom:
-        keep &= rows - 1 - y > weight
-    return MiddleLine(
-        step * x[keep].astype(np.float64),
-        step * y[keep].astype(np.float64),
-        step * weight[keep].astype(np.float64),
-        float(np.count_nonzero(keep)) / max(keep.size, 1),
-        skeleton,
-    )
 
 
 def thin(mask: NDArray[np.uint8] | NDArray[np.bool_]) -> NDArray[np.uint8]:

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import Estimate
+from slipguard.perception.estimate import DeclineReason, Estimate, explain
 from slipguard.perception.patch import Patch
 from slipguard.perception.pipeline import Pipeline
 

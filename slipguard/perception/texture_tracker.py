@@ -6,21 +6,20 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from slipguard.perception.declined import DeclineReason, explain
-from slipguard.perception.estimate import RotationEstimate
+from slipguard.perception.estimate import DeclineReason, RotationEstimate, explain
 from slipguard.perception.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.registration import Registration, TexturePose, register
-from slipguard.perception.rotation_curve import (
+from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
+from slipguard.perception.texture_map import REDUCTION, TextureMap
+from slipguard.perception.texture_template import (
     APART_DEG,
     SIMILAR_APART_DEG,
     STARTS_MAX,
+    TextureTemplate,
     correlation_curve,
     maxima_deg,
     similar_deg,
 )
-from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
-from slipguard.perception.texture_map import REDUCTION, TextureMap
-from slipguard.perception.texture_template import TextureTemplate
 
 CAPTURE_DEG = 12.0
 """A registration finds rotations this far from its start. If the object may be further, all rotations are searched."""

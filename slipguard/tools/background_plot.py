@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.perception.gel_wear import GelChange, compare_gel
+from slipguard.perception.background import GelChange, compare_gel
 from slipguard.tools.plotting import figure, save
 
 GAIN = 8

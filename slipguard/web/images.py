@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slipguard.daemon.api.daemon_api import ContactOverlay, DaemonApi, FingerFrame
 from slipguard.devices import FINGERS, FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.perception.patch import Patch, resize_mask_to_frame
-from slipguard.perception.skeleton import middle_line
+from slipguard.perception.skeleton import thin
 from slipguard.web.ttl_cache import TtlCache
 
 FRAME_TTL_S = 1 / 60
@@ -103,7 +103,7 @@ def draw_contact(image: NDArray[np.uint8], contact: ContactOverlay) -> NDArray[n
     mask = resize_mask_to_frame(patch.full_mask())
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(drawn, contours, -1, CONTOUR_BGR, 1)
-    rows, columns = np.nonzero(middle_line(patch).skeleton)
+    rows, columns = np.nonzero(thin(patch.mask))
     for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
         x_px, y_px = patch.to_frame(column, row)
         row_px, column_px = round(y_px), round(x_px)
@@ -133,5 +133,4 @@ def _patch(contact: ContactOverlay) -> Patch:
         image_size=contact.image_size,
         frame_px=FRAME_WIDTH_PX / contact.image_size[0],
         clipped=contact.clipped,
-        regions=1,
     )

@@ -11,7 +11,7 @@ from real_backgrounds import no_contact_frames, stale
 from slipguard.cli.measure import ReferenceChoice, measure
 from slipguard.datasets.mask_scores import iou
 from slipguard.devices import Frame
-from slipguard.perception.dead_lines import DeadLines
+from slipguard.perception.background import DeadLines
 from slipguard.perception.image_quality import LIMITS, pixel_figures
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from slipguard.perception.torn_frame import find_tear
+from slipguard.perception.image_quality import find_tear
 from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
 from slipguard.tools.image_files import read_bgr

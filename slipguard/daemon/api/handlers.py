@@ -36,7 +36,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
-from slipguard.perception.axial_angle import wrap_axial_deg
+from slipguard.perception.axis import wrap_axial_deg
 from slipguard.recording.recorder import Recorder
 
 NOT_WITH_OLD_CONFIG = (GraspRequest, LiftRequest, ActivateRequest, MoveJawsRequest)

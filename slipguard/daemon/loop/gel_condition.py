@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slipguard.perception.gel_wear import GelChange
+from slipguard.perception.background import GelChange
 
 LEVEL_MAX = 15.0
 """Gray levels, as `UNEVEN_MAX`: each is half of the difference that the contact gate accepts (see
-`slipguard.perception.contact_gate`). Frames of two real units, minutes apart, differ by up to 5.4 evenly."""
+`slipguard.perception.skipping`). Frames of two real units, minutes apart, differ by up to 5.4 evenly."""
 UNEVEN_MAX = 4.0
 WORN_MM2 = 0.3
 """A spot of 0.6 mm. Rendered drifts of up to 15 levels leave marks of 0.07 mm2 at most, real ones none."""

@@ -25,7 +25,7 @@ from slipguard.daemon.loop.service import Service
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundStore
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import SlipguardError
-from slipguard.perception.gel_wear import GelChange, compare_gel
+from slipguard.perception.background import GelChange, compare_gel
 
 SAMPLE_S = 2.0
 FRAMES = 30

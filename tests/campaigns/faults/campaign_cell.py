@@ -31,8 +31,7 @@ from slipguard.devices import (
     Gripper,
     TactileSensor,
 )
-from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import Estimate
+from slipguard.perception.estimate import DeclineReason, Estimate
 from slipguard.registry import load_driver
 from slipguard.sim.catalogue import find_object
 from slipguard.sim.cell import WorldTruth

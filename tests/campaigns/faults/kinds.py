@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import DeclineReason
 
 CAMERA_RANK = ("disconnect", "stall", "corrupt", "frozen", "stamps_ahead", "stamps_behind", "light", "mirrored")
 GRIPPER_RANK = ("disconnect", "timeout", "wrong_echo", "late", "fault")

@@ -23,8 +23,8 @@ from slipguard.daemon.loop.gel_condition import GelCondition, GelStatus
 from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.run import build_service
 from slipguard.devices import FINGERS, ArmState, GripperState
+from slipguard.perception.background import GelChange
 from slipguard.perception.estimate import Estimate
-from slipguard.perception.gel_wear import GelChange
 from slipguard.sim.world import World
 
 ROTATION = FusedEstimate(True, True, 129.9, 129.9, FINGERS, 12.34, 0.42, shift_mm=0.31, newest_at_s=129.9)

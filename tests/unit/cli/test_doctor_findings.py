@@ -27,7 +27,7 @@ from slipguard.devices import DriverContext, GripperState
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, problem, problem_from_error
 from slipguard.doctor import gripper, machine, run_checks, sensor, through_daemon
 from slipguard.errors import DeviceLost
-from slipguard.perception.gel_wear import GelChange
+from slipguard.perception.background import GelChange
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.world import World
 from slipguard_drivers.digit.diagnostics import RULES, check_digit

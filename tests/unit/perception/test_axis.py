@@ -12,10 +12,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from textured_surfaces import Surface, ball, plate
 
-from slipguard.perception.axial_angle import axial_difference_deg, nearest_rotation_deg, wrap_axial_deg
-from slipguard.perception.axis import ESTIMATORS, LINE_SIGMA_MAX_DEG, estimate_axis
-from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import Estimate
+from slipguard.perception.axis import ESTIMATORS, SIGMA_MAX_DEG, axial_difference_deg, estimate_axis, wrap_axial_deg
+from slipguard.perception.estimate import DeclineReason, Estimate
 from slipguard.perception.patch import Patch, find_patch
 
 ANY_DEG = st.floats(-1e6, 1e6)
@@ -34,13 +32,6 @@ def test_an_axis_lies_in_the_half_open_range(angle: float) -> None:
     assert np.isclose(np.sin(np.radians(wrapped - angle)), 0.0, atol=1e-6)
 
 
-@given(ANY_DEG, ANY_DEG)
-def test_an_axis_is_unwrapped_to_the_nearest_rotation(axis: float, near: float) -> None:
-    rotation_deg = nearest_rotation_deg(axis, near)
-    assert abs(rotation_deg - near) <= 90.0 + 1e-6
-    assert np.isclose(np.sin(np.radians(rotation_deg - axis)), 0.0, atol=1e-6)
-
-
 def test_differences_of_axes_cross_90_degrees() -> None:
     assert axial_difference_deg(-80.0, 80.0) == 20.0
     assert axial_difference_deg(80.0, -80.0) == -20.0
@@ -50,12 +41,11 @@ def test_differences_of_axes_cross_90_degrees() -> None:
 @pytest.mark.parametrize("shape", ["bar", "key"])
 @pytest.mark.parametrize("angle_deg", [-80.0, -45.0, 0.0, 30.0, 90.0])
 def test_angles_are_counter_clockwise_with_zero_to_the_right(name: str, shape: str, angle_deg: float) -> None:
-    coarse = 2.0 if name == "skeleton" else 1.0  # large patches are thinned at half the resolution
     found = estimate_axis(patch_of(drawn(shape, angle_deg)), name)
     assert found.angle_deg is not None, found
-    assert abs(axial_difference_deg(found.angle_deg, angle_deg)) < 0.8 * coarse
+    assert abs(axial_difference_deg(found.angle_deg, angle_deg)) < 0.8
     if shape == "bar":
-        assert found.center_px == pytest.approx((120.5, 160.5), abs=coarse)
+        assert found.center_px == pytest.approx((120.5, 160.5), abs=1.0)
 
 
 @given(st.sampled_from(("bar", "rectangle", "ellipse", "key", "wedge")), st.floats(-90, 90), st.integers(0, 99))
@@ -111,8 +101,8 @@ def test_any_map_gives_an_axis_in_range_or_a_reason(probability: NDArray[np.floa
         assert (found.angle_deg is None) == (found.sigma_deg is None) == (found.declined is not None)
         if found.angle_deg is not None and found.sigma_deg is not None:
             assert -90.0 < found.angle_deg <= 90.0
-            assert 0.0 < found.sigma_deg < np.inf
-            assert name != "skeleton" or found.sigma_deg <= LINE_SIGMA_MAX_DEG
+            assert found.sigma_deg > 0.0
+            assert found.sigma_deg <= SIGMA_MAX_DEG
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1), (2, 2), (3, 60), (160, 120)])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt
-from slipguard.perception.dead_lines import DeadLines
+from slipguard.perception.background import DeadLines
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings

@@ -9,8 +9,7 @@ import pytest
 from held_finger import FRAME_S, DrawnFinger, RenderedFinger
 from textured_surfaces import Heights, Surface, gear, lettered, nut, plate, ring, toothed
 
-from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import Estimate
+from slipguard.perception.estimate import DeclineReason, Estimate
 
 AMBIGUOUS = DeclineReason.SEVERAL_ROTATIONS
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from slipguard.errors import FrameCorrupt
-from slipguard.perception.contact_gate import DEFAULT_NOISE_BGR, ContactGate, block_means, check_frame
+from slipguard.perception.skipping import DEFAULT_NOISE_BGR, ContactGate, block_means, check_frame
 
 Image = NDArray[np.uint8]
 

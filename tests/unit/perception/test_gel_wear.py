@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slipguard.datasets.background_patterns import drift
-from slipguard.perception.gel_wear import GelChange, compare_gel
+from slipguard.perception.background import GelChange, compare_gel
 from slipguard.sim.background_image import background_image
 from slipguard.sim.sensor_unit import random_unit
 

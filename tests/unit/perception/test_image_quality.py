@@ -10,13 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.devices import Frame
-from slipguard.perception.contact_gate import BLOCKS_HIGH, BLOCKS_WIDE, DEFAULT_NOISE_BGR, block_means, blocks_near
-from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import Estimate
+from slipguard.perception.estimate import DeclineReason, Estimate
 from slipguard.perception.image_quality import LIMITS, ImageQuality, level_step, pixel_figures
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.skipping import BLOCKS_HIGH, BLOCKS_WIDE, DEFAULT_NOISE_BGR, block_means, blocks_near
 from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView

@@ -14,7 +14,7 @@ from textured_surfaces import LedLights, Surface, ball, lettered, plate, ring
 
 from slipguard.devices import Frame
 from slipguard.errors import FrameCorrupt, InputError
-from slipguard.perception.axial_angle import axial_difference_deg
+from slipguard.perception.axis import axial_difference_deg
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.settings import PerceptionSettings

@@ -11,13 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import DeclineReason
 from slipguard.perception.gel_memory import SHARE_MAX, ImprintMemory
 from slipguard.perception.patch import Patch, find_patch
 from slipguard.perception.registration import Ghost, Registration, TexturePose, register
-from slipguard.perception.rotation_curve import STEP_DEG, correlation_curve, maxima_deg, similar_deg
 from slipguard.perception.texture_map import ImageWindow, TextureMap
-from slipguard.perception.texture_template import TextureTemplate, make_texture_template
+from slipguard.perception.texture_template import (
+    STEP_DEG,
+    TextureTemplate,
+    correlation_curve,
+    make_texture_template,
+    maxima_deg,
+    similar_deg,
+)
 
 CENTER = (59.5, 79.5)
 WINDOW = ImageWindow(0, 0, 120, 160)

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import RotationEstimate
+from slipguard.perception.estimate import DeclineReason, RotationEstimate
 from slipguard.perception.rotation_filter import (
     ACCELERATION_DEG_S2,
     RATE_STALE_S,

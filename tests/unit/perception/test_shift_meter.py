@@ -9,8 +9,7 @@ import pytest
 from held_finger import PX_PER_MM, DrawnFinger, RenderedFinger
 from textured_surfaces import lettered, plate
 
-from slipguard.perception.declined import DeclineReason
-from slipguard.perception.estimate import Estimate
+from slipguard.perception.estimate import DeclineReason, Estimate
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.shaft import Shaft
 

@@ -50,7 +50,7 @@ def test_skipping_gives_the_same_answers(name: str, motion: Callable[[float], fl
     assert fingers[0].network.calls < 0.5 * fingers[1].network.calls
 
 
-def test_at_rest_the_network_runs_every_two_seconds_and_a_glitch_changes_nothing() -> None:
+def test_at_rest_the_network_runs_four_times_a_second_and_a_glitch_changes_nothing() -> None:
     finger = RenderedFinger("wrench", 3)
     finger.rest(12)
     calls, skipped = finger.network.calls, 0
@@ -59,7 +59,7 @@ def test_at_rest_the_network_runs_every_two_seconds_and_a_glitch_changes_nothing
         skipped += last.skipped == "unchanged"
         assert last.rotation_deg == pytest.approx(3.0 if k == 100 else 0.0, abs=0.3)
         assert 0.0 <= last.captured_at_s - last.measured_at_s < 0.25
-    assert finger.network.calls - calls <= 5
+    assert finger.network.calls - calls <= 15
     assert skipped > 60
 
 

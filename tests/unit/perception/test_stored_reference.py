@@ -8,7 +8,7 @@ from held_finger import DrawnFinger, RenderedFinger
 from textured_surfaces import Surface, ball, gear, lettered, nut, plate
 
 from slipguard.errors import FrameCorrupt
-from slipguard.perception.declined import DeclineReason
+from slipguard.perception.estimate import DeclineReason
 from slipguard.perception.stored_reference import DIFFERS_AFTER, MATCHES_AFTER, ResumingPipeline, StoredReference
 
 RESTART_S = 10.0

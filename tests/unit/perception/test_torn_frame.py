@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from slipguard.control.params import GuardTuning
 from slipguard.devices import Frame
 from slipguard.errors import FrameTorn
+from slipguard.perception.image_quality import REFUSED_MAX_S, find_tear
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.perception.torn_frame import REFUSED_MAX_S, find_tear
 from slipguard.sim import shapes
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
