@@ -143,6 +143,14 @@ class Gripper(Protocol):
     def force_limits_n(self) -> tuple[float, float]:
         """Lowest and highest force per finger that the model can apply."""
 
+    @property
+    def force_latency_s(self) -> float | None:
+        """Time from a request to tighten to the first change of the force, by the round trips measured at `open()`.
+
+        None: not measured.
+        """
+        return None
+
     @abstractmethod
     async def open(self) -> None:
         """Connect. Never activates or moves the gripper while an object may be held."""

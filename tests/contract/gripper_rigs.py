@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import pytest
@@ -21,7 +21,12 @@ from slipguard_drivers.robotiq.registers import MODELS
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import SimpleJaws
 
-WIRE_MODELS = {"wire": "2F-85", "hand-e": "Hand-E"}
+WIRE: dict[str, dict[str, object]] = {
+    "wire": {"model": "2F-85"},
+    "hand-e": {"model": "Hand-E"},
+    "forwarder": {"wiring": "forwarder", "tcp_port": 0},
+    "urcap": {"wiring": "urcap", "tcp_port": 0},
+}
 """The emulated grippers behind the real driver, by the kind of rig."""
 
 
@@ -109,16 +114,16 @@ class FakeGripperRig(GripperRig):
 
 
 class WireGripperRig(GripperRig):
-    """The real driver, a pseudo terminal, and an emulated gripper that is activated already."""
+    """The real driver on one of its transports, and an emulated gripper that is activated already."""
 
-    def __init__(self, folder: Path, model: str) -> None:
-        options = {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "activated": True}
-        self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate({**options, "model": model}))
-        self.open_mm = MODELS[model].stroke_mm
-        self.gripper = self.new_driver()
+    def __init__(self, folder: Path, options: Mapping[str, object]) -> None:
+        quick = {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "activated": True}
+        self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate({**quick, **options}))
+        self.open_mm = MODELS[self.emulator.settings.model].stroke_mm
 
     async def start(self) -> None:
         await self.emulator.start()
+        self.gripper = self.new_driver()
 
     def put_object(self) -> None:
         assert isinstance(self.emulator.jaws, SimpleJaws)
@@ -138,12 +143,9 @@ class WireGripperRig(GripperRig):
         self.emulator.registers.lose_power(asyncio.get_running_loop().time())
 
     def new_driver(self) -> Gripper:
-        settings = RobotiqGripper.Settings(
-            port=str(self.emulator.settings.link),
-            model=self.emulator.settings.model,
-            approach_speed=1.0,
-            timeout_ms=200.0,  # a busy machine is slow
-        )
+        busy_ms = 200.0  # a busy machine is slow
+        keys = {"model": self.emulator.settings.model, "approach_speed": 1.0, "timeout_ms": busy_ms}
+        settings = RobotiqGripper.Settings.model_validate(keys | self.emulator.driver_settings)
         return RobotiqGripper(settings, DriverContext("gripper"))
 
     async def stop(self) -> None:
@@ -182,7 +184,7 @@ def abilities(config: pytest.Config) -> dict[str, set[str]]:
     """Return the kinds of rig, each with what it can do."""
     everything = {"object", "no object", "faults", "pressed force"}
     between = {"object"} if config.getoption("--gripper-object") else {"no object"}
-    return dict.fromkeys(("fake", *WIRE_MODELS), everything) | dict.fromkeys(
+    return dict.fromkeys(("fake", *WIRE), everything) | dict.fromkeys(
         hardware_kinds(config, "gripper", "--gripper"), between
     )
 
@@ -195,4 +197,4 @@ def make_rig(kind: str, folder: Path, config: pytest.Config) -> GripperRig:
         return HardwareGripperRig(lambda: RobotiqGripper(settings, context))
     if kind == "driver":
         return HardwareGripperRig(lambda: named_driver(config, "gripper", context))
-    return FakeGripperRig() if kind == "fake" else WireGripperRig(folder, WIRE_MODELS[kind])
+    return FakeGripperRig() if kind == "fake" else WireGripperRig(folder, WIRE[kind])

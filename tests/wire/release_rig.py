@@ -99,8 +99,8 @@ class ReleaseRig:
         )
         settings = RobotiqGripper.Settings(port="memory", model=model, approach_speed=1.0)
         self.gripper = RobotiqGripper(settings, DriverContext("gripper"))
-        line = MemoryLine(self.emulator, self.gripper._modbus._on_bytes)
-        self.emulator._port = self.gripper._modbus._line = line  # type: ignore[assignment]
+        line = MemoryLine(self.emulator, self.gripper._transport._on_bytes)
+        self.emulator._port = self.gripper._transport._line = line  # type: ignore[assignment]
         self.emulator._occurs = self._occurs  # type: ignore[method-assign]
         self.object_mm = 0.5 * MODELS[model].stroke_mm
         self.actuator = Actuator("gripper", self.gripper, 0.025, 0.5, lambda: None, self._on_refusal)

@@ -19,7 +19,7 @@ from slipguard.devices import DriverContext, GripperState
 from slipguard.emulator import Event
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
-from slipguard_drivers.robotiq.registers import MODEL_2F85, MODEL_HAND_E, RobotiqModel
+from slipguard_drivers.robotiq.registers import MODEL_2F85, MODEL_HAND_E, RobotiqCommand, RobotiqModel, encode
 from slipguard_emulators.robotiq.emulator import FAULTS, RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import JawsState, SimpleJaws
 from slipguard_emulators.robotiq.registers import ActivationStage, GripperFigures
@@ -102,13 +102,13 @@ class Lane:
         port, model = str(self.emulator.settings.link), self.emulator.settings.model
         settings = RobotiqGripper.Settings(port=port, model=model, approach_speed=APPROACH)
         gripper = RobotiqGripper(settings, DriverContext("gripper"))
-        write = gripper._modbus.write
+        write = gripper._transport.write_command
 
-        async def noted(address: int, values: list[int], by_s: float) -> None:
-            self.asked = (RELEASING.get(), [f"{word:04X}" for word in values])
-            await write(address, values, by_s)
+        async def noted(command: RobotiqCommand, by_s: float) -> None:
+            self.asked = (RELEASING.get(), [f"{word:04X}" for word in encode(command)])
+            await write(command, by_s)
 
-        gripper._modbus.write = noted  # type: ignore[method-assign]
+        gripper._transport.write_command = noted  # type: ignore[method-assign]
         return gripper
 
     def _watch_answers(self) -> None:

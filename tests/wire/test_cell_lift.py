@@ -85,8 +85,10 @@ def test_a_lift_by_slipguard(
 
 @pytest.mark.campaign
 @pytest.mark.realtime
-def test_a_lift_by_the_robots_own_program(tmp_path: Path) -> None:
-    with cell(tmp_path, own_address(63), *OPTIONS, "--mode", "guard", "--play-again-s", 1.0) as there:
+@pytest.mark.parametrize("gripper", ["usb", "forwarder", "urcap"])
+def test_a_lift_by_the_robots_own_program(tmp_path: Path, gripper: str) -> None:
+    options = (*OPTIONS, "--mode", "guard", "--play-again-s", 1.0, "--gripper", gripper)
+    with cell(tmp_path, own_address(63), *options) as there:
         with daemon(there) as client:
             grasp(client)
             wait_for(client, lambda state: state["arm"]["height_mm"] > 75.0, "the program does not lift")

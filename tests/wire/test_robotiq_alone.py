@@ -83,7 +83,7 @@ async def test_a_cancelled_search_for_other_programs_closes_the_port(
         return set()
 
     monkeypatch.setattr(serial_port, "other_holders", slow)
-    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05)
     opening = asyncio.create_task(line.connect())
     await asyncio.to_thread(looking.wait, 10.0)
     assert not line.connected, "nothing is asked before the look has ended"
@@ -103,7 +103,7 @@ async def test_repeated_attempts_do_not_search_all_processes_each_time(
     other = await another_master(emulator, exclusive=True)
     looks: list[object] = []
     monkeypatch.setattr(serial_port, "other_holders", lambda port, among=None: looks.append(among) or set())
-    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05)
     for _ in range(5):
         with pytest.raises(DeviceLost, match="another program"):
             await line.connect()

@@ -20,7 +20,7 @@ from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 async def test_the_bytes_on_the_line_are_the_manuals(emulator: RobotiqEmulator) -> None:
     said: list[bytes] = []
     emulator._port._on_bytes = said.append
-    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05)
     await line.connect()
     for ask in (line.write(0x03E8, [0x0900, 0x00FF, 0xFFFF], soon_s()), line.read(0x07D0, 3, soon_s())):
         line._out_of_sync = False
@@ -111,7 +111,7 @@ async def test_a_write_without_a_response_may_have_moved_the_jaws_and_says_so(
     emulator.control("fault unplug")
     with pytest.raises(DeviceLost):
         await hold
-    line = ModbusConnection("gripper", emulator.address, 9, 0.05, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.05)
     emulator.control("clear unplug")
     await line.connect()
     await line.read(0x07D0, 3, soon_s())
@@ -147,7 +147,7 @@ async def test_a_gripper_is_not_lost_by_a_single_silent_call(
 ) -> None:
     gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
     await gripper.open()
-    monkeypatch.setattr(gripper, "_silent_max_s", 0.0)  # as after a call that waited long
+    gripper._silent_since_s = -1000.0  # as after a call that waited long
     for _ in range(2):
         emulator.control("fault silence")
         with pytest.raises(DeviceTimeout):

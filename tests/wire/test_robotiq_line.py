@@ -51,7 +51,7 @@ async def test_a_response_later_than_the_silence_is_never_taken_for_the_next(tmp
 
 
 async def test_a_new_connection_ignores_responses_to_old_requests(emulator: RobotiqEmulator) -> None:
-    old, new = (ModbusConnection("gripper", emulator.address, 9, 0.3, 0x07D0) for _ in range(2))
+    old, new = (ModbusConnection("gripper", emulator.address, 9, 0.3) for _ in range(2))
     await old.connect()
     await old.read(0x07D0, 3, soon_s())
     emulator.control("fault late 1")
@@ -134,7 +134,7 @@ async def test_an_invalid_response_to_a_read_is_a_time_out_and_the_next_is_good(
     "fault", ["bad_crc", "half", "noise", "wrong_function", "wrong_echo", "wrong_slave", "silence"]
 )
 async def test_an_invalid_response_to_a_write_is_a_time_out(emulator: RobotiqEmulator, fault: str) -> None:
-    line = ModbusConnection("gripper", emulator.address, 9, 0.3, 0x07D0)
+    line = ModbusConnection("gripper", emulator.address, 9, 0.3)
     await line.connect()
     await line.read(0x07D0, 3, soon_s())
     emulator.control(f"fault {fault} 1")
@@ -152,7 +152,7 @@ async def test_no_response_crashes_the_driver(emulator: RobotiqEmulator, gripper
     for function in range(1, 256, 15):
         answer = bytes([9, function, 4, 0, 1, 2, 3])
         emulator._port.send = lambda data, plug, answer=answer: send(answer + crc16(answer), plug)  # type: ignore[method-assign]
-        gripper._modbus._out_of_sync, gripper._silent_since_s = False, math.inf
+        gripper._transport._out_of_sync, gripper._silent_since_s = False, math.inf
         with pytest.raises(DeviceTimeout):
             await gripper.state()
     assert raised == []

@@ -13,7 +13,7 @@ import pytest
 
 from slipguard.devices import DriverContext
 from slipguard.errors import DeviceLost
-from slipguard_drivers.robotiq import serial_line
+from slipguard_drivers.robotiq import byte_line
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 
@@ -31,7 +31,7 @@ class WedgedAdapter:
         self._open, self._close = os.open, os.close
         monkeypatch.setattr(os, "open", self.open)
         monkeypatch.setattr(os, "close", self.close)
-        monkeypatch.setattr(serial_line, "BLOCKED_S", 0.05)
+        monkeypatch.setattr(byte_line, "BLOCKED_S", 0.05)
 
     def wedge(self) -> None:
         self.wedged, self.calls = True, 0
@@ -173,7 +173,7 @@ def test_the_port_is_raw_exclusive_and_at_115200(tmp_path: Path) -> None:
     ours, theirs = os.openpty()
     port = os.ttyname(theirs)
     os.close(theirs)
-    opened = serial_line.open_port(port)
+    opened = byte_line.open_port(port)
     iflag, oflag, cflag, lflag, ispeed, ospeed, _ = termios.tcgetattr(opened.fileno())
     assert (ispeed, ospeed) == (termios.B115200, termios.B115200)
     assert cflag & (termios.CSIZE | termios.PARENB | termios.CSTOPB | termios.CRTSCTS) == termios.CS8
@@ -183,9 +183,9 @@ def test_the_port_is_raw_exclusive_and_at_115200(tmp_path: Path) -> None:
     with pytest.raises(BlockingIOError):
         os.read(opened.fileno(), 1)
     with pytest.raises(OSError, match="unavailable"):
-        serial_line.open_port(port)
-    serial_line.close_port(opened)
+        byte_line.open_port(port)
+    byte_line.close_port(opened)
     os.close(ours)
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="Could not configure port"):
-        serial_line.open_port(str(tmp_path / "file"))
+        byte_line.open_port(str(tmp_path / "file"))

@@ -1,4 +1,4 @@
-"""Driver `robotiq`: a Robotiq 2F or Hand-E over Modbus RTU. Each command is a register write that is verified.
+"""Driver `robotiq`: a Robotiq 2F or Hand-E, on any `transport`. Each command is written and then verified.
 
 Two properties of the hardware determine the design:
 
@@ -19,24 +19,26 @@ from collections.abc import AsyncIterator, Coroutine
 from dataclasses import replace
 from typing import Annotated, Any, Literal, TypeVar
 
-import structlog
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from slipguard.devices import ACTIVATION_HINT, DriverContext, Gripper, GripperState
 from slipguard.diagnosis import CheckResult, note, ok
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.robotiq import registers, serial_port
+from slipguard_drivers.robotiq import registers
+from slipguard_drivers.robotiq.byte_line import host_and_port, is_tcp
 from slipguard_drivers.robotiq.modbus import ModbusConnection
 from slipguard_drivers.robotiq.object_detection import ObjectDetection
-from slipguard_drivers.robotiq.registers import MODELS, RobotiqModel, RobotiqStatus
+from slipguard_drivers.robotiq.registers import AUTO_RELEASE, MODELS, RESET, RobotiqCommand, RobotiqModel, RobotiqStatus
+from slipguard_drivers.robotiq.transport import GripperTransport
+from slipguard_drivers.robotiq.urcap import UrcapConnection
 
 T = TypeVar("T")
-log = structlog.get_logger()
-
 CALL_TIMEOUTS = 8
 """A call takes at most this many response time-outs (0.4 s), unless it activates the gripper."""
 ECHO_READS = 5
 """Status reads until a command must be visible in the status: 5 x 5 ms; the gripper's cycle is 5 ms."""
+ECHO_SETTLES = 4.0
+"""If the transport has a `settle_s`, reading goes on for this many of them."""
 RELEASE_COUNTS_MIN = 15
 """A release opens at least this far (5.6 mm on a 2F-85, 2.9 mm on a Hand-E), even if a smaller width is requested."""
 OPENING_MIN_MM = 5.0
@@ -58,11 +60,17 @@ SILENT_CALLS = 2
 
 
 class RobotiqSettings(BaseModel):
-    """port: preferably a name under /dev/serial/by-id, which stays with the adapter."""
+    """How the gripper is connected (`port` or `urcap`), and what it is.
+
+    port: a serial port of this computer, preferably a name under /dev/serial/by-id, which stays with the adapter; or
+    `socket://ROBOT:54321`, the RS-485 forwarder on the robot. urcap: `ROBOT:63352`, Robotiq's URCap on the robot.
+    timeout_ms: for one response; longer if the measured round trip needs it.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    port: Annotated[str, Field(min_length=1)]
+    port: Annotated[str | None, Field(min_length=1)] = None
+    urcap: Annotated[str | None, Field(min_length=1)] = None
     model: Literal["2F-85", "2F-140", "Hand-E"] = "2F-85"
     slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
     timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
@@ -70,6 +78,23 @@ class RobotiqSettings(BaseModel):
     """Share of the speed range, 20 to 150 mm/s on a 2F-85, at which the fingers close on an object."""
     fingertip_mm: Annotated[float, Field(ge=0.0, le=40.0)] = 0.0
     """Thickness of the sensor and its mount on each finger; `slipguard ctl fingertips` measures it."""
+
+    @field_validator("port", "urcap")
+    @classmethod
+    def _is_an_address(cls, value: str | None, info: ValidationInfo) -> str | None:
+        if value is not None and (info.field_name == "urcap" or is_tcp(value)):
+            host_and_port(value)
+        return value
+
+    @model_validator(mode="after")
+    def _has_one_connection(self) -> RobotiqSettings:
+        if (self.port is None) == (self.urcap is None):
+            found = "neither port nor urcap is set" if self.port is None else "port and urcap are both set"
+            raise ValueError(
+                f'{found}; set one: port = "/dev/serial/by-id/NAME" (USB adapter), port = "socket://ROBOT:54321" '
+                '(RS-485 forwarder) or urcap = "ROBOT:63352" (Robotiq\'s URCap)'
+            )
+        return self
 
     @model_validator(mode="after")
     def _leaves_an_opening(self) -> RobotiqSettings:
@@ -89,27 +114,30 @@ def check_fingertips(model: RobotiqModel) -> CheckResult:
     return ok("fingertips", f"{model.fingertip_mm:g} mm each; the gels open to {model.opening_mm:.0f} mm; {limit}")
 
 
+def make_transport(name: str, settings: RobotiqSettings) -> GripperTransport:
+    """Return the transport that the settings name; nothing is opened."""
+    timeout_s = settings.timeout_ms / 1000.0
+    if settings.urcap is not None:
+        return UrcapConnection(name, settings.urcap, settings.slave_id, timeout_s)
+    return ModbusConnection(name, settings.port or "", settings.slave_id, timeout_s)
+
+
 class RobotiqGripper(Gripper):
-    """A 2F-85, 2F-140 or Hand-E on a serial port of its own."""
+    """A 2F-85, 2F-140 or Hand-E."""
 
     Settings = RobotiqSettings
 
     def __init__(self, settings: RobotiqSettings, context: DriverContext) -> None:
         self._name = context.name
-        self._port = settings.port
         self._model = replace(MODELS[settings.model], fingertip_mm=settings.fingertip_mm)
         self._approach_speed = round(settings.approach_speed * 255)
-        timeout_s = settings.timeout_ms / 1000.0
-        self._modbus = ModbusConnection(
-            context.name, settings.port, settings.slave_id, timeout_s, registers.INPUT_ADDRESS
-        )
-        self._call_max_s = CALL_TIMEOUTS * timeout_s
+        self._transport = make_transport(context.name, settings)
         self._one_command = asyncio.Lock()
         self._running: set[asyncio.Task[Any]] = set()
         self._closing_down = False
         self._applied: int | None = None
         """Force count of the grip; None if the fingers are open, or if another program closed them."""
-        self._jaws = ObjectDetection(self._model)
+        self._jaws = ObjectDetection(self._model, self._transport.settle_s)
         self._activating = False
         """Whether an activation moves the fingers, or may do so unseen."""
         self._activation_sent_s = -math.inf
@@ -117,28 +145,33 @@ class RobotiqGripper(Gripper):
         """Since when the gripper has answered no request for its status."""
         self._silent_calls = 0
         """How many calls of `state` in a row it has not answered."""
-        self._silent_max_s = max(SILENT_S, 2.0 * self._call_max_s)
 
     @property
     def force_limits_n(self) -> tuple[float, float]:
         """Return the force range of the model."""
         return self._model.force_min_n, self._model.force_max_n
 
+    @property
+    def force_latency_s(self) -> float | None:
+        """Return the time from a request to tighten to the first change of the force; None before `open()`."""
+        return self._transport.force_latency_s
+
     async def open(self) -> None:
         """Connect and read the status. A gripper that is not activated stays so until `activate`."""
         self._closing_down, self._silent_since_s, self._silent_calls = False, math.inf, 0
-        if not self._modbus.connected:
+        is_new = not self._transport.connected
+        if is_new:
             self._forget_grip()  # another program may have changed it meanwhile
             try:
-                await self._modbus.connect()
+                await self._transport.connect()
             except DeviceError as error:
                 raise self._with_activation(error) from None
-            if slow := serial_port.slow_adapter(self._port):
-                log.warning(f"{self._name}: {slow}")
         try:
+            if is_new:
+                await self._complete(self._transport.measure())
             await self._complete(self._status(self._deadline_s()))
         except DeviceError:
-            self._modbus.close()
+            self._transport.close()
             raise
 
     async def state(self) -> GripperState:
@@ -149,9 +182,10 @@ class RobotiqGripper(Gripper):
             status = await self._complete(self._status(self._deadline_s()))
         except DeviceTimeout as error:
             self._silent_calls += 1
-            if self._silent_calls < SILENT_CALLS or loop.time() - self._silent_since_s < self._silent_max_s:
+            silent_max_s = max(SILENT_S, 2.0 * self._call_max_s)
+            if self._silent_calls < SILENT_CALLS or loop.time() - self._silent_since_s < silent_max_s:
                 raise
-            self._modbus.close()
+            self._transport.close()
             raise DeviceLost(str(error)) from None
         return GripperState(
             active=status.ready,
@@ -197,14 +231,19 @@ class RobotiqGripper(Gripper):
         self._closing_down = True
         if self._running:
             await asyncio.wait(self._running)
-        self._modbus.close()
-        await self._modbus.closed()
+        self._transport.close()
+        await self._transport.closed()
 
     async def diagnose(self, *, owned: bool) -> AsyncIterator[CheckResult]:
-        """Check settings and serial port for `slipguard doctor`, without opening it."""
-        for result in serial_port.check_serial_port(self._port):
+        """Check settings and wiring for `slipguard doctor`, without connecting."""
+        for result in self._transport.diagnose():
             yield result
         yield check_fingertips(self._model)
+
+    @property
+    def _call_max_s(self) -> float:
+        """Longest time of a call that activates nothing."""
+        return CALL_TIMEOUTS * self._transport.timeout_s + 2.0 * self._transport.settle_s
 
     def _deadline_s(self) -> float:
         """Return when a call that begins now must have ended."""
@@ -259,6 +298,7 @@ class RobotiqGripper(Gripper):
             if holding or closing:
                 await self._write(deadline_s, go=False, position=goal, speed=speed, force=force)
                 await self._expect(deadline_s, goal, going=False)
+                await asyncio.sleep(self._transport.settle_s)
             await self._write(deadline_s, go=True, position=goal, speed=speed, force=force)
             await self._expect(deadline_s, goal, going=True)
             self._applied = force
@@ -307,9 +347,8 @@ class RobotiqGripper(Gripper):
             return
         if not status.activated:
             raise CommandRefused(f"{self._name}: {IN_RESET}")
-        await self._modbus.write(registers.OUTPUT_ADDRESS, registers.auto_release(), deadline_s)
-        for _ in range(ECHO_READS):
-            status = await self._status(deadline_s)
+        await self._transport.write_command(AUTO_RELEASE, deadline_s)
+        async for status in self._echoes(deadline_s):
             if status.releasing or status.auto_released:
                 return
         raise DeviceTimeout(
@@ -327,8 +366,9 @@ class RobotiqGripper(Gripper):
             await self._reset_and_activate(deadline_s)
 
     async def _reset_and_activate(self, deadline_s: float) -> None:
-        await self._modbus.write(registers.OUTPUT_ADDRESS, [0, 0, 0], deadline_s)
+        await self._transport.write_command(RESET, deadline_s)
         await self._expect(deadline_s, 0, going=False, activated=False)
+        await asyncio.sleep(self._transport.settle_s)
         self._activating, self._activation_sent_s = True, asyncio.get_running_loop().time()
         await self._write(deadline_s, go=False, position=0, speed=0, force=0)
         status = await self._expect(deadline_s, 0, going=False)
@@ -353,12 +393,11 @@ class RobotiqGripper(Gripper):
         )
 
     async def _status(self, deadline_s: float) -> RobotiqStatus:
-        words = await self._modbus.read(registers.INPUT_ADDRESS, registers.REGISTERS, deadline_s)
-        status = registers.decode(words)
+        status = await self._transport.read_status(deadline_s)
         if not status.ready:
             self._forget_grip()  # it lost power, or another program has reset it
         now_s, self._silent_since_s, self._silent_calls = asyncio.get_running_loop().time(), math.inf, 0
-        if status.activating or now_s > self._activation_sent_s + ACTIVATION_ECHO_S:
+        if status.activating or now_s > self._activation_sent_s + ACTIVATION_ECHO_S + self._transport.settle_s:
             self._activating = status.activating
         self._jaws.update(status, now_s)
         return status
@@ -376,13 +415,20 @@ class RobotiqGripper(Gripper):
         return status
 
     async def _write(self, deadline_s: float, *, go: bool, position: int, speed: int, force: int) -> None:
-        values = registers.encode(activate=True, go=go, position=position, speed=speed, force=force)
-        await self._modbus.write(registers.OUTPUT_ADDRESS, values, deadline_s)
+        command = RobotiqCommand(go=go, position=position, speed=speed, force=force)
+        await self._transport.write_command(command, deadline_s)
+
+    async def _echoes(self, deadline_s: float) -> AsyncIterator[RobotiqStatus]:
+        """Yield the statuses in which a command must become visible."""
+        loop = asyncio.get_running_loop()
+        ends_s, reads = loop.time() + ECHO_SETTLES * self._transport.settle_s, 0
+        while reads < ECHO_READS or loop.time() < ends_s:
+            reads += 1
+            yield await self._status(deadline_s)
 
     async def _expect(self, deadline_s: float, position: int, *, going: bool, activated: bool = True) -> RobotiqStatus:
         """Wait until the status shows that the gripper has accepted a command."""
-        for _ in range(ECHO_READS):
-            status = await self._status(deadline_s)
+        async for status in self._echoes(deadline_s):
             if (status.position_echo, status.going, status.activated) == (position, going, activated):
                 return status
         seen, wanted = ("going" if on else "stopped" for on in (status.going, going))

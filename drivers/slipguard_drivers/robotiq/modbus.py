@@ -1,4 +1,8 @@
-"""Modbus RTU access to the gripper's registers.
+"""Modbus RTU, through a serial adapter of this computer or the RS-485 forwarder on the robot.
+
+The forwarder is a URCap by Universal Robots: bytes on TCP port 54321 are those of the tool connector. It relays them
+with socat, which connects a second client, but keeps it waiting until the first has left (its daemon script:
+`socat tcp-l:54321,reuseaddr,fork file:/dev/ttyTool,nonblock,raw,waitlock=/var/run/tty`).
 
 Modbus RTU has no transaction number: after a time-out, a late response would be taken for the response to the next
 request, and every response would stay one behind. Therefore:
@@ -15,19 +19,27 @@ from __future__ import annotations
 import asyncio
 import math
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import cycle
 
+import structlog
+
+from slipguard.diagnosis import CheckResult, ok
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
-from slipguard_drivers.robotiq import serial_port
-from slipguard_drivers.robotiq.serial_line import BLOCKED_S, PortBlockedError, SerialLine
+from slipguard_drivers.robotiq import registers, serial_port
+from slipguard_drivers.robotiq.byte_line import BLOCKED_S, ByteLine, PortBlockedError, is_tcp
+from slipguard_drivers.robotiq.registers import RobotiqCommand, RobotiqStatus
+from slipguard_drivers.robotiq.transport import TIMEOUT_TRIPS, GripperTransport
 
 REQUEST_PERIOD_S = 0.005
 """From one request to the next: the manual's minimum."""
 PAUSE_S = 0.00175
 """From a response to the next request: 3.5 characters, never less than this by the standard."""
 SILENCE_S = 0.1
-"""After a time-out; the slowest adapter (16 ms latency timer) with the slowest gripper answers well within it."""
+"""After a time-out, or longer if the measured round trip needs it; the slowest adapter (16 ms latency timer) with the
+slowest gripper answers well within it."""
+log = structlog.get_logger()
 READ, WRITE = 4, 16
 CRC_BYTES = 2
 HOLDERS_PERIOD_S = 3.0
@@ -45,21 +57,19 @@ class ExpectedResponse:
     response: asyncio.Future[bytes]
 
 
-class ModbusConnection:
-    """Reads and writes 16-bit registers of one slave. A call must not be cancelled once it has begun.
+class ModbusConnection(GripperTransport):
+    """Reads and writes 16-bit registers of one slave.
 
-    Each call has a `deadline_s` on the loop's clock. A request that could end later is not sent: DeviceTimeout.
-    probe_address: two registers that may be read at any time to check the line.
+    port: a device file, or `socket://HOST:PORT` of a forwarder.
     """
 
-    def __init__(self, name: str, port: str, slave_id: int, timeout_s: float, probe_address: int) -> None:
+    def __init__(self, name: str, port: str, slave_id: int, timeout_s: float) -> None:
+        super().__init__(timeout_s)
         self._name = name
         self._port = port
         self._slave_id = slave_id
-        self._timeout_s = timeout_s
-        self._probe_address = probe_address
         self._probe_sizes = cycle((1, 2))
-        self._line = SerialLine(port, self._on_bytes, self._on_lost)
+        self._line = ByteLine(port, self._on_bytes, self._on_lost)
         self._exclusive = False
         """Whether no other program has the port open."""
         self._lock = asyncio.Lock()
@@ -76,7 +86,7 @@ class ModbusConnection:
 
     @property
     def connected(self) -> bool:
-        """Whether the port is open for this program alone; see `RobotiqGripper.state` for a gripper that is silent."""
+        """Whether the port is open, and a serial one for this program alone; a silent gripper is `connected`, too."""
         return self._exclusive and self._line.is_open
 
     async def connect(self) -> None:
@@ -92,13 +102,21 @@ class ModbusConnection:
                 raise self._not_exclusive()
         try:
             await self._line.open()
-        except PortBlockedError:
-            raise DeviceLost(
-                f"{self._name}: the adapter on {self._port} does not respond: opening or closing the port takes more "
-                f"than {BLOCKED_S:g} s; unplug it and plug it in again"
-            ) from None
-        except OSError:
+        except OSError as error:
+            if is_tcp(self._port):
+                raise self._no_forwarder(error) from None
+            if isinstance(error, PortBlockedError):
+                raise self._blocked() from None
             raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {await self._why_not_opened()}") from None
+        if not is_tcp(self._port):
+            await self._check_holders()
+            if slow := serial_port.slow_adapter(self._port):
+                log.warning(f"{self._name}: {slow}")
+        self._lose_sync()  # the previous user of the port may have left a request that is still to be answered
+        self._exclusive = True
+
+    async def _check_holders(self) -> None:
+        """Close the port again if another program has it open."""
         try:
             self._holders = await asyncio.to_thread(serial_port.other_holders, self._port)
             if self._holders:
@@ -109,8 +127,6 @@ class ModbusConnection:
         except BaseException:  # includes a cancelled search
             self._line.close()
             raise
-        self._lose_sync()  # the previous user of the port may have left a request that is still to be answered
-        self._exclusive = True
 
     def close(self) -> None:
         """Begin to close the port. Idempotent."""
@@ -120,6 +136,21 @@ class ModbusConnection:
     async def closed(self) -> None:
         """Wait until the port is closed, but not for a wedged adapter."""
         await self._line.settled()
+
+    async def read_status(self, deadline_s: float) -> RobotiqStatus:
+        """Read the three input registers."""
+        return registers.decode(await self.read(registers.INPUT_ADDRESS, registers.REGISTERS, deadline_s))
+
+    async def write_command(self, command: RobotiqCommand, deadline_s: float) -> None:
+        """Write the three output registers."""
+        await self.write(registers.OUTPUT_ADDRESS, registers.encode(command), deadline_s)
+
+    def diagnose(self) -> Iterator[CheckResult]:
+        """Check the serial port, without opening it; a forwarder serves one client, so it is only named."""
+        if not is_tcp(self._port):
+            yield from serial_port.check_serial_port(self._port)
+            return
+        yield ok("port", f"{self._port}, the RS-485 forwarder on the robot; it must be slipguard's alone")
 
     async def read(self, address: int, count: int, deadline_s: float) -> list[int]:
         """Read input registers (function 4). Raises DeviceTimeout or DeviceLost."""
@@ -137,6 +168,18 @@ class ModbusConnection:
                 await self._exchange(head + content, head, len(head) + CRC_BYTES)
             except DeviceError as error:
                 raise type(error)(f"{error}; the gripper may have executed the command") from None
+
+    def _blocked(self) -> DeviceLost:
+        return DeviceLost(
+            f"{self._name}: the adapter on {self._port} does not respond: opening or closing the port takes more "
+            f"than {BLOCKED_S:g} s; unplug it and plug it in again"
+        )
+
+    def _no_forwarder(self, error: OSError) -> DeviceLost:
+        return DeviceLost(
+            f"{self._name}: {self._port} does not accept connections ({error.strerror or 'no answer'}); check the "
+            "robot's address and power, and that the URCap rs485 (PolyScope X: tool-comm-forwarder) is installed and on"
+        )
 
     async def _why_not_opened(self) -> str:
         if fault := serial_port.device_fault(self._port):
@@ -162,21 +205,25 @@ class ModbusConnection:
         self._line.receive()
         if self._out_of_sync:
             while (left_s := self._silence_left_s()) > 0.0:
-                self._check_time(left_s + 2.0 * self._timeout_s, deadline_s)
+                self._check_time(left_s + 2.0 * self.timeout_s, deadline_s)
                 await asyncio.sleep(left_s)
             self._out_of_sync = False
-            await self._read(self._probe_address, next(self._probe_sizes))
+            await self._read(registers.INPUT_ADDRESS, next(self._probe_sizes))
             await self._wait_until_free()
             self._line.receive()
             if self._out_of_sync:
                 self._lose_sync()
                 raise DeviceTimeout(f"{self._name}: more bytes arrived than were requested; check the cable")
-        self._check_time(self._timeout_s, deadline_s)
+        self._check_time(self.timeout_s, deadline_s)
 
     def _silence_left_s(self) -> float:
         """Return how long the line must still be silent."""
         self._line.receive()  # bytes that arrived during a late cycle of the loop
-        return self._silent_since_s + SILENCE_S - asyncio.get_running_loop().time()
+        return (
+            self._silent_since_s
+            + max(SILENCE_S, TIMEOUT_TRIPS * (self.read_s or 0.0))
+            - asyncio.get_running_loop().time()
+        )
 
     def _check_time(self, needed_s: float, deadline_s: float) -> None:
         if asyncio.get_running_loop().time() + needed_s > deadline_s:
@@ -198,7 +245,7 @@ class ModbusConnection:
         self._expected = ExpectedResponse(head, size, response)
         try:
             self._line.write(request + crc(request))
-            async with asyncio.timeout(self._timeout_s):
+            async with asyncio.timeout(self.timeout_s):
                 return await response
         except TimeoutError:
             self._lose_sync()
@@ -239,8 +286,17 @@ class ModbusConnection:
                 f"{self._name}: {received[:16].hex(' ')} is not the expected response; check the cable"
             )
         return DeviceTimeout(
-            f"{self._name}: no response within {self._timeout_s * 1000:.0f} ms from slave {self._slave_id} on "
-            f"{self._port}; check the gripper's power and the cable"
+            f"{self._name}: no response within {self.timeout_s * 1000:.0f} ms from slave {self._slave_id} on "
+            f"{self._port}; check the gripper's power and {self._to_check}"
+        )
+
+    @property
+    def _to_check(self) -> str:
+        if not is_tcp(self._port):
+            return "the cable"
+        return (
+            "the robot's Tool I/O (controlled by User, 24 V, 115200 baud, no parity, one stop bit), and that no other "
+            "program or URCap uses the tool's RS-485"
         )
 
     def _connection_lost(self) -> DeviceLost:

@@ -33,8 +33,10 @@ YIELD_COUNTS_MIN = 3
 class ObjectDetection:
     """What the statuses since the connection was opened say together."""
 
-    def __init__(self, model: RobotiqModel) -> None:
+    def __init__(self, model: RobotiqModel, settle_s: float = 0.0) -> None:
+        """settle_s: from a command that the status shows to its arrival in the gripper, at most."""
         self._model = model
+        self._lag_s = OBJECT_LAG_S + settle_s
         self._yield_counts = max(YIELD_COUNTS_MIN, round(YIELD_MM / model.mm_per_count))
         self.forget()
 
@@ -83,7 +85,7 @@ class ObjectDetection:
         """Find out whether gOBJ belongs to the present command."""
         newest = self._newest
         if newest is None or not newest.going or newest.position_echo != status.position_echo:
-            self._decided, self._decided_at_s, self._same_since_s = False, now_s + OBJECT_LAG_S, now_s
+            self._decided, self._decided_at_s, self._same_since_s = False, now_s + self._lag_s, now_s
             self._was_moving = self._motion is FingerMotion.MOVING
         seen = status.motion is FingerMotion.MOVING and not self._was_moving
         self._decided = self._decided or seen or now_s >= self._decided_at_s

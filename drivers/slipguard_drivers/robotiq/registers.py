@@ -112,6 +112,23 @@ class FingerMotion(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class RobotiqCommand:
+    """What is written to the gripper: rACT, rGTO, rPR, rSP, rFR, and rATR with rARD. Counts are 0-255."""
+
+    activate: bool = True
+    go: bool = False
+    position: int = 0
+    speed: int = 0
+    force: int = 0
+    auto_release: bool = False
+    """Start an automatic release in the direction of opening."""
+
+
+RESET = RobotiqCommand(activate=False)
+AUTO_RELEASE = RobotiqCommand(auto_release=True)
+
+
+@dataclass(frozen=True, slots=True)
 class RobotiqStatus:
     """The decoded input registers. Counts are 0-255."""
 
@@ -149,17 +166,14 @@ class RobotiqStatus:
         return FAULTS.get(self.fault_code) or f"unknown fault code 0x{self.fault_code:02X}"
 
 
-def encode(*, activate: bool, go: bool, position: int, speed: int, force: int) -> list[int]:
-    """Return the three output registers. position, speed, force: counts 0-255."""
+def encode(command: RobotiqCommand) -> list[int]:
+    """Return the three output registers. Raises ValueError for a count outside 0 to 255."""
+    position, speed, force = command.position, command.speed, command.force
     for name, count in (("position", position), ("speed", speed), ("force", force)):
         if not 0 <= count <= 255:
             raise ValueError(f"{name} is {count} counts; it must be 0 to 255")
-    return [(activate << 0 | go << 3) << 8, position, speed << 8 | force]
-
-
-def auto_release() -> list[int]:
-    """Return the three output registers that start an automatic release in the direction of opening."""
-    return [(1 << 0 | 1 << 4 | 1 << 5) << 8, 0, 0]
+    action = command.activate << 0 | command.go << 3 | command.auto_release << 4 | command.auto_release << 5
+    return [action << 8, position, speed << 8 | force]
 
 
 def decode(registers: Sequence[int]) -> RobotiqStatus:

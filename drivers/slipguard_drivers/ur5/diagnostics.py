@@ -26,13 +26,12 @@ from slipguard_drivers.ur5.state_monitor import ROBOT_MODES, RUNNING, RobotState
 MEASURE_S = 1.0
 RATE_SHARE_MIN = 0.9
 URCAPS = {
-    63352: ("Robotiq's gripper URCap", "only one program may command a gripper: use it in no robot program"),
-    54321: (
-        "an RS-485 URCap (tool communication)",
-        "connect the gripper to this computer, not to the robot's tool connector",
-    ),
+    63352: ("Robotiq's gripper URCap", "use the gripper in no program of the panel while slipguard guards"),
+    54321: ("the RS-485 forwarder URCap", "no other program may use the tool's RS-485"),
 }
-"""URCaps by the port they listen on, and what to do about each."""
+"""URCaps that use the gripper's line, by the port they listen on, and what to do about each. The driver `robotiq` uses
+either."""
+URCAP_CONFLICT = "both claim the tool's RS-485 (Universal Robots' ROS driver, tool communication): uninstall one"
 URCAP_TIMEOUT_S = 0.3
 PAYLOAD_MIN_KG = 0.5
 """Every supported gripper weighs more: a 2F-85 0.9 kg (Robotiq's manual), without sensors."""
@@ -189,6 +188,8 @@ async def check_urcaps(host: str) -> list[CheckResult]:
         for (port, (text, action)), listens in zip(URCAPS.items(), found, strict=True)
         if listens
     ]
+    if len(notes) == len(URCAPS):
+        notes.append(note("URCap", "Robotiq's URCap and the RS-485 forwarder are both on", URCAP_CONFLICT))
     return notes or [ok("URCap", "none that is known to interfere")]
 
 

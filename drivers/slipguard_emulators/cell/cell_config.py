@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -59,9 +60,16 @@ class CellPaths:
 
 
 def config_text(
-    places: CellPaths, *, mode: Literal["lift", "guard"], host: str, height_mm: float, speed_mm_s: float
+    places: CellPaths,
+    *,
+    gripper: Mapping[str, str],
+    mode: Literal["lift", "guard"],
+    host: str,
+    height_mm: float,
+    speed_mm_s: float,
 ) -> str:
-    """Return the configuration as text; other keys have slipguard's defaults."""
+    """Return the configuration as text; other keys have slipguard's defaults. gripper: how the gripper is connected."""
+    connection = "\n".join(f'{key} = "{value}"' for key, value in gripper.items())
     cameras = "\n".join(
         f"""[{finger}]
 driver = "socket"
@@ -75,7 +83,7 @@ path = "{places.camera(finger)}"
 [gripper]
 driver = "robotiq"
 [gripper.robotiq]
-port = "{places.gripper}"
+{connection}
 
 [arm]
 driver = "ur5"

@@ -82,6 +82,10 @@ class CellEmulator(ControlledEmulator):
             Field(description="lift: slipguard moves the arm; guard: the robot's own program does."),
         ] = "lift"
         host: Annotated[str, Field(description="Address of this machine for the robot.")] = "127.0.0.1"
+        gripper: Annotated[
+            Literal["usb", "forwarder", "urcap"],
+            Field(description="Gripper on a serial port, the robot's RS-485 forwarder, or Robotiq's URCap."),
+        ] = "usb"
         series: Annotated[Literal["e", "cb3"], Field(description="Robot: cb3 125 Hz, e 500 Hz.")] = "cb3"
         fingertip_mm: Annotated[
             float, Field(ge=0.0, le=40.0, description="Thickness of each sensor: the gels meet that early.")
@@ -123,7 +127,12 @@ class CellEmulator(ControlledEmulator):
         self.tool = WorldTool(self.world)
         self.gripper = RobotiqEmulator(
             RobotiqEmulator.Settings(
-                link=self.places.gripper, activated=settings.activated, baud=settings.baud, seed=settings.seed
+                wiring=settings.gripper,
+                host=settings.host,
+                link=self.places.gripper if settings.gripper == "usb" else None,
+                activated=settings.activated,
+                baud=settings.baud,
+                seed=settings.seed,
             ),
             self._part("gripper"),
             WorldJaws(self.world),
@@ -166,6 +175,7 @@ class CellEmulator(ControlledEmulator):
         self.places.config.write_text(
             config_text(
                 self.places,
+                gripper=self.gripper.driver_settings,
                 mode=settings.mode,
                 host=settings.host,
                 height_mm=settings.height_mm,

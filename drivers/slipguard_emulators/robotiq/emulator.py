@@ -1,4 +1,4 @@
-"""A Robotiq 2F or Hand-E on a pseudo terminal: Modbus RTU with the timing of a real wire, with faults on demand."""
+"""A Robotiq 2F or Hand-E: Modbus RTU with the timing of a real wire, or the robot's URCap, with faults on demand."""
 
 from __future__ import annotations
 
@@ -19,8 +19,11 @@ from slipguard_emulators.robotiq.jaws import JawsPlant, SimpleJaws
 from slipguard_emulators.robotiq.modbus_frames import ModbusRequest, answer, crc16, frame_bytes, parse
 from slipguard_emulators.robotiq.pseudo_terminal import EmulatedPort
 from slipguard_emulators.robotiq.registers import FIGURES, RACT, ActivationStage, GripperRegisters
+from slipguard_emulators.robotiq.tcp_port import ForwarderPort
+from slipguard_emulators.robotiq.urcap import UrcapPort
 
 BITS_PER_BYTE = 10
+FORWARDER_PORT, URCAP_PORT = 54321, 63352
 FORGET_S = 0.02
 """An incomplete request is discarded after this silence; the standard says 3.5 characters."""
 FAULTS = {
@@ -42,12 +45,17 @@ FAULTS = {
     "power": "the gripper loses power for outage_ms: the screw keeps the grip, and it must be activated again",
     "unplug": "the serial port disappears for outage_ms",
 }
+URCAP_FAULTS = (
+    "silence", "deaf", "late", "half", "garbage", "split", "double", "ignore", "freeze", "power", "unplug",
+)  # fmt: skip
+"""Those that a request to the URCap can meet."""
 
 
 class RobotiqEmulator(ControlledEmulator):
-    """Emulate a 2F or Hand-E gripper on a serial port: registers, moving jaws, an object, faults on demand.
+    """Emulate a 2F or Hand-E gripper: registers, moving jaws, an object, faults on demand.
 
-    Further commands: `object MM|none`, `gflt CODE`.
+    It is on a serial port, or on a robot: behind the RS-485 forwarder or behind Robotiq's URCap. Further commands:
+    `object MM|none`, `gflt CODE`; with the URCap also `panel LINE`, a command of a program at the panel.
 
     Example: `slipguard emulate robotiq --link /tmp/ttyGR --object-width-mm 40 --fault late:0.01`
     """
@@ -57,6 +65,22 @@ class RobotiqEmulator(ControlledEmulator):
 
         model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+        wiring: Annotated[
+            Literal["usb", "forwarder", "urcap"],
+            Field(description="Serial port, the robot's RS-485 forwarder, or Robotiq's URCap on the robot."),
+        ] = "usb"
+        host: Annotated[str, Field(description="forwarder, urcap: address of the robot.")] = "127.0.0.1"
+        tcp_port: Annotated[
+            int | None, Field(ge=0, le=65535, description="forwarder: 54321, urcap: 63352; 0: a free one.")
+        ] = None
+        relay_ms: Annotated[
+            float,
+            Field(ge=0.0, le=1000.0, description="forwarder: delay of bytes each way; urcap: time to a response."),
+        ] = 3.0
+        jitter_ms: Annotated[float, Field(ge=0.0, le=1000.0, description="Largest random addition to that.")] = 4.0
+        refresh_ms: Annotated[
+            float, Field(ge=1.0, le=1000.0, description="urcap: period in which it talks to the gripper.")
+        ] = 16.0
         link: Annotated[Path | None, Field(description="Name of the port; default: the pseudo terminal's own.")] = None
         model: Annotated[Literal["2F-85", "2F-140", "Hand-E"], Field(description="Gripper model.")] = "2F-85"
         slave_id: Annotated[int, Field(ge=1, le=247, description="Modbus address.")] = 9
@@ -82,7 +106,8 @@ class RobotiqEmulator(ControlledEmulator):
 
     def __init__(self, settings: Settings, report: Report | None = None, jaws: JawsPlant | None = None) -> None:
         """jaws: other mechanics; default: simple jaws with at most one object."""
-        super().__init__(FAULTS, settings.seed, report)
+        kinds = FAULTS if settings.wiring != "urcap" else {name: FAULTS[name] for name in URCAP_FAULTS}
+        super().__init__(kinds, settings.seed, report)
         self.settings = settings
         figures = FIGURES[settings.model]
         self.jaws = (
@@ -92,19 +117,26 @@ class RobotiqEmulator(ControlledEmulator):
         self.requests = 0
         """Number of requests received."""
         self._rng = random.Random(settings.seed + 1)
-        self._port = EmulatedPort(settings.link, self._on_bytes)
+        self._port = self._make_port()
         self._started = False
         self._buffer = b""
         self._last_byte_s = 0.0
         self._free_s = 0.0
         """When the last answer will have been sent; answers stay in order."""
         self._down_until_s = 0.0
+        self._outage: set[str] = set()
+        """Which of `freeze`, `power` and `unplug` began the present or newest outage."""
         self._timers = TimerGroup()
 
     @property
     def address(self) -> str:
-        """Path of the port."""
-        return self._port.path
+        """The port as the driver `robotiq` has it: a path, `socket://HOST:PORT`, or the URCap's HOST:PORT."""
+        return f"socket://{self._port.path}" if self.settings.wiring == "forwarder" else self._port.path
+
+    @property
+    def driver_settings(self) -> dict[str, str]:
+        """The driver's keys for this connection."""
+        return {"urcap" if self.settings.wiring == "urcap" else "port": self.address}
 
     async def start(self) -> None:
         """Create the port. Raises InputError if the link cannot be created."""
@@ -139,8 +171,10 @@ class RobotiqEmulator(ControlledEmulator):
         }
 
     def commands(self) -> dict[str, EmulatorCommand]:
-        """Return the commands `object` and `gflt`."""
+        """Return the commands `object`, `gflt` and, with the URCap, `panel`."""
+        panel = {"panel": (self._panel, "panel LINE: a program at the panel sends it, such as `panel SET POS 0 GTO 1`")}
         return {
+            **(panel if isinstance(self._port, UrcapPort) else {}),
             "object": (self._object, "object MM|none: the object between the jaws"),
             "gflt": (self._gflt, "gflt CODE: fault code that the gripper reports, such as 0x0E; 0 for none"),
         }
@@ -179,7 +213,45 @@ class RobotiqEmulator(ControlledEmulator):
         self.registers.fault = code
         return f"reports fault 0x{code:02X}"
 
+    def _panel(self, rest: list[str]) -> str:
+        assert isinstance(self._port, UrcapPort)
+        return self._port.execute(" ".join(rest)) or "not answered"
+
     # The wire.
+
+    def _make_port(self) -> EmulatedPort | ForwarderPort | UrcapPort:
+        settings = self.settings
+        relay_s, jitter_s = settings.relay_ms / 1000.0, settings.jitter_ms / 1000.0
+        if settings.wiring == "usb":
+            return EmulatedPort(settings.link, self._on_bytes)
+        port = settings.tcp_port
+        if settings.wiring == "forwarder":
+            number = FORWARDER_PORT if port is None else port
+            return ForwarderPort(settings.host, number, self._on_bytes, relay_s, jitter_s, settings.seed)
+        return UrcapPort(
+            settings.host,
+            URCAP_PORT if port is None else port,
+            self.registers,
+            slave_id=settings.slave_id,
+            refresh_s=settings.refresh_ms / 1000.0,
+            response_s=relay_s,
+            jitter_s=jitter_s,
+            late_s=settings.late_ms / 1000.0,
+            occurs=self._occurs,
+            answers=self._urcap_answers,
+            responds=self._responds,
+            note=self.note,
+            seed=settings.seed,
+        )
+
+    def _urcap_answers(self, now_s: float) -> bool:
+        """Return whether the URCap answers a request; it does so while the gripper has no power."""
+        self.requests += 1
+        return not self._is_down(now_s) or self._outage == {"power"}
+
+    def _responds(self, now_s: float) -> bool:
+        """Return whether the gripper responds to the URCap."""
+        return now_s >= self._down_until_s and not self.faults.lasts("power")
 
     def _on_bytes(self, data: bytes) -> None:
         now_s = asyncio.get_running_loop().time()
@@ -220,7 +292,7 @@ class RobotiqEmulator(ControlledEmulator):
         begin = {name for name in ("freeze", "power", "unplug") if self._occurs(name)}
         if not begin:
             return False
-        self._down_until_s = now_s + self.settings.outage_ms / 1000.0
+        self._down_until_s, self._outage = now_s + self.settings.outage_ms / 1000.0, begin
         if "power" in begin and not self.faults.lasts("power"):
             self.registers.lose_power(now_s)
         if "unplug" in begin:
@@ -230,6 +302,8 @@ class RobotiqEmulator(ControlledEmulator):
 
     def _send(self, request: ModbusRequest, plain: bytes, now_s: float) -> None:
         """Send the answer with the timing of the wire, with faults."""
+        port = self._port
+        assert not isinstance(port, UrcapPort)  # it answers by itself
         frame = self._with_faults(request, plain)
         late_s = self.settings.late_ms / 1000.0 if self._occurs("late") else 0.0
         begins_s = max(now_s + self.settings.response_ms / 1000.0 + late_s, self._free_s)
@@ -237,9 +311,9 @@ class RobotiqEmulator(ControlledEmulator):
         due_s = self._free_s + (self.settings.latency_timer_ms / 1000.0 if self.settings.baud else 0.0)
         if self._occurs("split"):
             first, frame = frame[:3], frame[3:]
-            self._at(due_s, partial(self._port.send, first, self._port.plugs))
+            self._at(due_s, partial(port.send, first, port.plugs))
             due_s += 0.004
-        self._at(due_s, partial(self._port.send, frame, self._port.plugs))
+        self._at(due_s, partial(port.send, frame, port.plugs))
 
     def _with_faults(self, request: ModbusRequest, plain: bytes) -> bytes:
         if self._occurs("wrong_function"):

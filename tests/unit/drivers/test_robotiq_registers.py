@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from slipguard.errors import CommandRefused, DeviceError
 from slipguard_drivers.robotiq.registers import (
+    AUTO_RELEASE,
     CLOSED_COUNT,
     GEL_GAP_MM,
     INPUT_ADDRESS,
@@ -20,7 +21,7 @@ from slipguard_drivers.robotiq.registers import (
     MODEL_HAND_E,
     OUTPUT_ADDRESS,
     FingerMotion,
-    auto_release,
+    RobotiqCommand,
     count_to_force,
     count_to_width,
     decode,
@@ -42,16 +43,16 @@ def words(payload: bytes) -> list[int]:
 def test_the_manuals_open_command() -> None:
     address, count = struct.unpack(">HH", OPEN_FULLY[2:6])
     assert (address, count) == (OUTPUT_ADDRESS, 3)
-    assert encode(activate=True, go=True, position=0, speed=255, force=255) == words(OPEN_FULLY[7:13])
+    assert encode(RobotiqCommand(activate=True, go=True, position=0, speed=255, force=255)) == words(OPEN_FULLY[7:13])
 
 
 def test_activation_clears_everything_but_ract() -> None:
-    assert encode(activate=True, go=False, position=0, speed=0, force=0) == [0x0100, 0, 0]
+    assert encode(RobotiqCommand(activate=True, go=False, position=0, speed=0, force=0)) == [0x0100, 0, 0]
 
 
 def test_an_automatic_release_opens_and_needs_ract() -> None:
     """Bits 0 (rACT), 4 (rATR) and 5 (rARD: 1 opens) of the action request, in one write."""
-    assert auto_release() == [0x3100, 0, 0]
+    assert encode(AUTO_RELEASE) == [0x3100, 0, 0]
 
 
 def test_the_manuals_status_of_a_grasp() -> None:
@@ -131,7 +132,7 @@ def test_an_invalid_status_is_refused(registers: list[int]) -> None:
 @pytest.mark.parametrize("count", [-1, 256])
 def test_counts_are_bytes(name: str, count: int) -> None:
     with pytest.raises(ValueError, match=name):
-        encode(activate=True, go=True, **{"position": 0, "speed": 0, "force": 0, name: count})
+        encode(RobotiqCommand(activate=True, go=True, **{"position": 0, "speed": 0, "force": 0, name: count}))
 
 
 def test_the_force_range_of_each_model() -> None:

@@ -102,10 +102,13 @@ def test_the_robots_program_lifts_and_continues_after_a_pause() -> None:
 @pytest.mark.parametrize("mode", ["lift", "guard"])
 def test_the_configuration_is_one_that_slipguard_reads(tmp_path: Path, mode: str) -> None:
     places = CellPaths(tmp_path)
-    places.config.write_text(config_text(places, mode=mode, host="127.0.0.9", height_mm=80.0, speed_mm_s=50.0))  # type: ignore[arg-type]
+    gripper = {"urcap": "127.0.0.9:63352"} if mode == "guard" else {"port": "/dev/ttyUSB0"}
+    text = config_text(places, gripper=gripper, mode=mode, host="127.0.0.9", height_mm=80.0, speed_mm_s=50.0)  # type: ignore[arg-type]
+    places.config.write_text(text)
     config = read_config(places.config)
     assert (config.guard.mode, config.guard.lift_height_mm) == (mode, 80.0)
     assert config.left.driver == "socket"
+    assert config.gripper.settings.model_dump().items() >= gripper.items()
     assert config.api.socket == places.api
 
 

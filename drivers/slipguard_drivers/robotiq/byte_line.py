@@ -1,8 +1,9 @@
-"""One serial port, opened and closed in a thread, so that a wedged adapter cannot stop the event loop.
+"""One serial port or TCP connection, opened and closed in a thread, so that it cannot stop the event loop.
 
 To open or close the port of a USB adapter, the kernel talks to the adapter. One that no longer answers blocks that for
-5 s per request, and for up to 30 s if bytes are unsent. Reading and writing only use the kernel's buffers: the port is
-non-blocking. A blocked open or close keeps its thread until the kernel gives up; meanwhile no second one is started.
+5 s per request, and for up to 30 s if bytes are unsent; a host that is off blocks a connection for longer. Reading and
+writing only use the kernel's buffers: the port is non-blocking. A blocked open or close keeps its thread until the
+kernel gives up; meanwhile no second one is started.
 """
 
 from __future__ import annotations
@@ -10,10 +11,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import socket
 import termios
 import threading
 from collections.abc import Callable
 from typing import TypeVar
+from urllib.parse import urlsplit
 
 import serial
 
@@ -25,14 +28,20 @@ BLOCKED_S = 1.0
 """An adapter that takes longer to open or to close its port is wedged; a good one takes some milliseconds."""
 BAUD = 115200
 READ_BYTES = 4096
+TCP = "socket://"
+"""Prefix of a port that is a TCP connection, as pyserial has it."""
+CONNECT_S = 0.9
+"""A connection that takes longer is given up, just before the line counts as blocked."""
 
 
 class PortBlockedError(OSError):
     """The adapter does not answer the kernel."""
 
 
-class SerialLine:
-    """A serial port at 115200 baud, 8N1, for exclusive use.
+class ByteLine:
+    """A serial port at 115200 baud, 8N1, for exclusive use, or a TCP connection.
+
+    port: a device file, or `socket://HOST:PORT`.
 
     on_bytes: called with all received bytes. on_lost: called when the port has disappeared; it is closed then.
     """
@@ -41,7 +50,7 @@ class SerialLine:
         self._port = port
         self._on_bytes = on_bytes
         self._on_lost = on_lost
-        self._open_port: serial.Serial | None = None
+        self._open_port: serial.Serial | socket.socket | None = None
         self._blocking: asyncio.Future[object] | None = None
         """The open or close that is under way, or the last one."""
 
@@ -129,14 +138,40 @@ class SerialLine:
         threading.Thread(target=run, name=f"port {self._port}", daemon=True).start()
         return future
 
-    def _close_late(self, opening: asyncio.Future[serial.Serial]) -> None:
+    def _close_late(self, opening: asyncio.Future[serial.Serial | socket.socket]) -> None:
         """Close a port that was opened after it had been given up."""
         if opening.exception() is None:
             self._start(close_port, opening.result())
 
 
-def open_port(port: str) -> serial.Serial:
-    """Open a port for exclusive use, non-blocking. Blocks if the adapter does not answer; raises OSError."""
+def is_tcp(port: str) -> bool:
+    """Return whether a port is a TCP connection."""
+    return port.startswith(TCP)
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """Split `HOST:PORT`, with or without `socket://`. Raises ValueError with what is wrong."""
+    parts = urlsplit(text if is_tcp(text) else TCP + text)
+    number = parts.port  # ValueError if it is none
+    if not parts.hostname or number is None or parts.path or parts.query or parts.username:
+        raise ValueError(f"{text!r} is not HOST:PORT, such as 192.168.1.10:54321")
+    return parts.hostname, number
+
+
+def open_port(port: str) -> serial.Serial | socket.socket:
+    """Open a port, non-blocking. Blocks if adapter or host do not answer; raises OSError."""
+    return _connect(*host_and_port(port)) if is_tcp(port) else _open_serial(port)
+
+
+def _connect(host: str, port: int) -> socket.socket:
+    connection = socket.create_connection((host, port), CONNECT_S)
+    connection.setblocking(False)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+def _open_serial(port: str) -> serial.Serial:
+    """Open a serial port for exclusive use."""
     try:
         # inter_byte_timeout: VMIN becomes 1, so that a read without bytes differs from a read of a lost port.
         opened = serial.Serial(port, BAUD, timeout=0, inter_byte_timeout=0, exclusive=True)
@@ -147,9 +182,10 @@ def open_port(port: str) -> serial.Serial:
     return opened
 
 
-def close_port(port: serial.Serial) -> None:
+def close_port(port: serial.Serial | socket.socket) -> None:
     """Close a port, without waiting for bytes that are still to be sent. Blocks if the adapter does not answer."""
-    with contextlib.suppress(OSError, termios.error):
-        port.reset_output_buffer()
+    if isinstance(port, serial.Serial):
+        with contextlib.suppress(OSError, termios.error):
+            port.reset_output_buffer()
     with contextlib.suppress(OSError):
         port.close()
