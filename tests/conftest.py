@@ -40,7 +40,6 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--stops", type=int, default=2, metavar="N", help="how many lifts meet a protective stop")
     group.addoption("--seed", type=int, default=0, metavar="N", help="seed of faults, kills and stops")
     group.addoption("--api-examples", type=int, default=2, metavar="N", help="generated requests for each API route")
-    group.addoption("--page-images", metavar="DIR", help="store images of the operator page in this folder")
     group.addoption(
         "--judged-share", type=float, default=0.0, metavar="SHARE",
         help="fail if the machine is too busy to judge this share of the real-time tests (0 to 1)",

@@ -14,7 +14,6 @@ from playwright.async_api import Browser, ConsoleMessage, Page, async_playwright
 
 sys.path.append(str(Path(__file__).parent))
 
-from page_images import PageScreenshots
 from page_rig import DaemonProcess, daemon
 
 VARIABLE = "SLIPGUARD_CHROMIUM"
@@ -88,10 +87,3 @@ async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[O
     for context in contexts:
         await context.close()
     assert not wrong, "\n".join(wrong)
-
-
-@pytest.fixture(scope="session")
-def screenshots(pytestconfig: pytest.Config) -> PageScreenshots:
-    """Provide the folder for screenshots, if given (`--page-images DIR`)."""
-    named = pytestconfig.getoption("--page-images")
-    return PageScreenshots(None if named is None else Path(named))

@@ -38,9 +38,3 @@ def code(text: str) -> Iterator[str]:
     for prose in parts[::2]:
         for quoted in re.findall(r"`([^`\n]+)`", prose):
             yield from quoted.split(" && ")
-
-
-def shell_steps(text: str) -> Iterator[str]:
-    """Yield the commands of the blocks that are marked as shell commands."""
-    for block in re.findall(r"^```sh\n(.*?)^```$", text, re.M | re.S):
-        yield from filter(None, _steps(block))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import importlib
 import socket
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -62,19 +60,6 @@ async def test_a_dead_name_server_takes_one_thread_of_its_own(
         assert await asyncio.to_thread(lambda: "free") == "free"
 
 
-async def test_the_example_driver_leaves_the_shared_threads_free(
-    server: NameServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "packaging" / "third_party")
-    text_link = importlib.import_module("example_drivers.text_link")
-    monkeypatch.setattr(text_link, "resolve_host", HostLookup().resolve)
-    link = text_link.TextLink("gripper", "gripper.example", 5001, 20.0)
-    for _ in range(40):
-        with pytest.raises(DeviceLost, match=r"no connection to gripper\.example:5001 \(no answer\)"):
-            await link.open()
-    assert (server.asked, lookups()) == (1, 1)
-
-
 async def test_the_last_known_address_is_used_while_the_name_server_is_dead(
     server: NameServer,
 ) -> None:
@@ -87,44 +72,6 @@ async def test_the_last_known_address_is_used_while_the_name_server_is_dead(
         known.send(None)
     assert returned.value.value == "192.0.2.10", "without waiting: a stop has 0.3 s"
     assert server.asked == 2, "the address is looked up again for the next time"
-
-
-async def test_a_name_that_no_lookup_takes_is_an_error_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*details: object, **options: object) -> list[Address]:
-        raise ValueError("embedded null character")
-
-    monkeypatch.setattr(socket, "getaddrinfo", refuse)
-    lookup = HostLookup()
-    for _ in range(2):
-        async with asyncio.timeout(10.0):
-            with pytest.raises(OSError, match="no valid host name"):
-                await lookup.resolve("robot.example")
-
-
-async def test_without_a_thread_the_lookup_fails_and_can_be_repeated(
-    server: NameServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def no_thread(thread: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    lookup = HostLookup()
-    server.alive.set()
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Thread, "start", no_thread)
-        with pytest.raises(OSError, match="can't start new thread"):
-            await lookup.resolve("robot.example")
-    assert await lookup.resolve("robot.example") == "192.0.2.10"
-
-
-async def test_an_address_needs_no_name_server(server: NameServer) -> None:
-    assert await HostLookup().resolve("192.0.2.11") == "192.0.2.11"
-    assert server.asked == 0
-
-
-async def test_an_unknown_name_is_an_error(server: NameServer) -> None:
-    server.alive.set()
-    with pytest.raises(OSError, match="not known"):
-        await HostLookup().resolve("unknown")
 
 
 def test_an_answer_after_the_end_of_the_loop_is_dropped(server: NameServer) -> None:

@@ -19,22 +19,11 @@ VARIABLE = "SLIPGUARD_VM"
 
 @pytest.fixture(scope="session")
 def machine() -> Iterator[Machine]:
-    """Boot the machine for the driver's tests."""
-    yield from booted(systemd=False)
-
-
-@pytest.fixture
-def systemd_machine() -> Iterator[Machine]:
-    """Boot the same image with systemd as its first process, once for each test."""
-    yield from booted(systemd=True)
-
-
-def booted(*, systemd: bool) -> Iterator[Machine]:
     """Boot the image that SLIPGUARD_VM names, or the one that `build_image.py` has built."""
     image = Path(os.environ.get(VARIABLE) or image_folder())
     assert (image / "root.ext4").exists(), (
         f"no image in {image}; build it with `python tests/vm/build_image.py --install`"
     )
-    machine = Machine(image, systemd=systemd)
+    machine = Machine(image)
     yield machine
     machine.stop()

@@ -26,12 +26,11 @@ PRIORITY = -10
 class Machine:
     """One running QEMU.
 
-    accelerator: "kvm", "tcg", or None for the faster one that works here. systemd: whether it is the first process.
+    accelerator: "kvm", "tcg", or None for the faster one that works here.
     """
 
-    def __init__(self, image: Path, accelerator: str | None = None, *, systemd: bool = False) -> None:
+    def __init__(self, image: Path, accelerator: str | None = None) -> None:
         self.accelerator = accelerator or ("kvm" if kvm_works() else "tcg")
-        self._words = "slipguard.systemd" if systemd else ""
         self._folder = Path(tempfile.mkdtemp(prefix="slipguard-vm-"))
         self.console = self._folder / "console"
         begun_s = time.monotonic()
@@ -117,7 +116,7 @@ class Machine:
         return [
             *("qemu-system-x86_64", "-machine", "q35", *accelerator, "-smp", str(CORES), "-m", str(MEMORY_MIB)),
             *("-kernel", str(image / "kernel"), "-initrd", str(image / "initramfs")),
-            *("-append", f"console=ttyS0 quiet mitigations=off panic=1 {self._words}"),
+            *("-append", "console=ttyS0 quiet mitigations=off panic=1"),
             *("-drive", f"file={image / 'root.ext4'},if=virtio,format=raw,snapshot=on"),
             *("-virtfs", share, "-device", "virtio-rng-pci"),
             *("-device", "virtio-serial-pci", "-chardev", f"socket,id=agent,path={self._folder / 'agent'}"),

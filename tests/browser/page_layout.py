@@ -1,9 +1,7 @@
-"""Measures the page's layout: contrast, size of buttons, names for screen readers. Takes screenshots."""
+"""Measures the page's layout: contrast, size of buttons, names for screen readers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from playwright.async_api import Page
@@ -129,18 +127,3 @@ async def unnamed_elements(page: Page) -> list[str]:
         and node["role"]["value"] in NAMED_ROLES
         and not node.get("name", {}).get("value", "").strip()
     ]
-
-
-@dataclass(frozen=True, slots=True)
-class PageScreenshots:
-    """Takes screenshots of a page, if a folder was given."""
-
-    folder: Path | None
-
-    async def keep(self, page: Page, name: str) -> None:
-        """Store a screenshot of the whole page; with an open dialog, only of the visible part."""
-        if self.folder is None:
-            return
-        self.folder.mkdir(parents=True, exist_ok=True)
-        pending = await page.locator("#dialog").is_visible()
-        await page.screenshot(path=self.folder / f"{name}.png", full_page=not pending)

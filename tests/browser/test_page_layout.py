@@ -1,69 +1,53 @@
-"""The page is accessible: contrast, sizes and names, in both themes, from phone to desktop, in every state.
-
-`pytest tests/browser/test_page_images.py --page-images DIR` stores screenshots.
-"""
+"""The page is accessible: contrast, sizes and names, in both themes, from phone to desktop, in every state."""
 
 from __future__ import annotations
 
 import re
 
 import pytest
-from page_images import PageScreenshots, layout_problems, low_contrast_texts, unnamed_elements
+from page_layout import layout_problems, low_contrast_texts, unnamed_elements
 from page_rig import DaemonProcess
 from playwright.async_api import Page, expect
-
-from slipguard.daemon.api.requests import LiftRequest
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
 WIDTHS = {"desk": (1280, 800), "phone": (390, 844), "narrow": (320, 640)}
 THEMES = ("light", "dark")
 SETTLED_MS = 150
-MINUTE_FILLED_MS = 25_000
-"""Time until the charts have content."""
 
 
-async def check(page: Page, screenshots: PageScreenshots, name: str) -> None:
-    """Check contrast in both themes and layout at every width; take screenshots."""
+async def check(page: Page, name: str) -> None:
+    """Check contrast in both themes and layout at every width."""
     for kind, (width, height) in WIDTHS.items():
         await page.set_viewport_size({"width": width, "height": height})
-        for theme in THEMES if kind == "desk" or screenshots.folder else THEMES[:1]:
+        for theme in THEMES if kind == "desk" else THEMES[:1]:
             await page.emulate_media(color_scheme=theme, reduced_motion="reduce")
             await page.wait_for_timeout(SETTLED_MS)
             assert not await low_contrast_texts(page) + await layout_problems(page), f"{name}, {theme}, {kind}"
-            await screenshots.keep(page, f"{name}-{kind}-{theme}")
     assert not await unnamed_elements(page), name
 
 
-async def test_layout_while_holding_in_a_dialog_and_in_a_fault(
-    running: DaemonProcess, open_page, screenshots: PageScreenshots
-) -> None:  # type: ignore[no-untyped-def]
-    running.held(again=screenshots.folder is not None)
+async def test_layout_while_holding_in_a_dialog_and_in_a_fault(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
+    running.held(again=False)
     page = await open_page()
-    if screenshots.folder is not None:
-        running.client.submit(LiftRequest())
-        running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > 39.0)
     await expect(page.locator("#phase")).to_have_text("Holding")
-    await page.wait_for_timeout(MINUTE_FILLED_MS if screenshots.folder else 0)
-    await check(page, screenshots, "holding")
+    await check(page, "holding")
     await page.click("#do-release")
-    await check(page, screenshots, "asking")
+    await check(page, "asking")
     await page.keyboard.press("Escape")
     running.order("fail arm protective_stop")
     await expect(page.locator("#fault")).to_be_visible()
-    await check(page, screenshots, "fault")
+    await check(page, "fault")
 
 
-async def test_layout_read_only_not_ready_and_offline(
-    running: DaemonProcess, open_page, screenshots: PageScreenshots
-) -> None:  # type: ignore[no-untyped-def]
+async def test_layout_read_only_not_ready_and_offline(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
     running.fresh()
     page = await open_page(control=False)
     running.order("fail left disconnect")
     await expect(page.locator("#phase")).to_have_text("Not ready")
-    await check(page, screenshots, "read-only-not-ready")
+    await check(page, "read-only-not-ready")
     with running.frozen():
         await expect(page.locator("#phase")).to_have_text("No connection")
-        await check(page, screenshots, "lost")
+        await check(page, "lost")
 
 
 async def test_headings_landmarks_and_image_descriptions(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
