@@ -13,11 +13,9 @@ from slipguard.cli.terminal import count_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import AsyncGenerator
-
     from slipguard.config import Config
     from slipguard.daemon.api.client import Client
-    from slipguard.datasets.recorder import SensorImage
+    from slipguard.datasets.recorder import Reader
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode="markdown")
 Out = Annotated[Path, typer.Option(help="Folder to write to: new or empty.")]
@@ -136,7 +134,7 @@ def record(
     show: Sheet = None,
     socket: SocketOption = None,
 ) -> None:
-    """Record frames with proposed masks: the difference to the background image. Correct them before training.
+    """Record frames with the masks that the network proposes. Correct them before training.
 
     A running daemon provides the frames; without one, this command opens the sensors.
 
@@ -150,7 +148,7 @@ def record(
     from slipguard.daemon.api.client import Client, DaemonNotRunning
     from slipguard.daemon.api.paths import running_socket
     from slipguard.datasets.dataset_files import check_new, contact_sheet
-    from slipguard.datasets.recorder import from_sensors, opened, record_dataset
+    from slipguard.datasets.recorder import images_of, opened, record_dataset, sensor_reader
 
     if (config is None) == (serial is None):
         raise InputError("give either --config config.toml or --serial D20479")
@@ -160,16 +158,16 @@ def record(
     async def record_all(client: Client | None) -> int:
         async with AsyncExitStack() as stack:
             if client is not None:
-                images, serials = _daemon_images(client, serial, every_s)
+                readers, serials = _daemon_readers(client, serial)
             else:
                 sensors = _sensors(settings, serial)
                 # A missing image is reported before a sensor is opened, if the serial number is already known.
                 _read_backgrounds([sensor.serial for sensor in sensors if sensor.serial], background, settings)
                 await stack.enter_async_context(opened(sensors))
-                images, serials = from_sensors(sensors, every_s), [sensor.serial for sensor in sensors]
+                readers, serials = [sensor_reader(one) for one in sensors], [sensor.serial for sensor in sensors]
             backgrounds = _read_backgrounds(serials, background, settings)
             show_count = stack.enter_context(count_bar("recording", count))
-            async with aclosing(images):
+            async with aclosing(images_of(readers, every_s)) as images:
                 return await record_dataset(out, images, count, backgrounds, show_count)
 
     with Client(socket or running_socket(settings)) as client:
@@ -185,11 +183,9 @@ def record(
     print(f"{count} frames in {out}, {with_contact} with contact; check the masks before you train on them")
 
 
-def _daemon_images(
-    client: Client, serial: str | None, every_s: float
-) -> tuple[AsyncGenerator[SensorImage, None], list[str]]:
-    """Return the daemon's images and its sensors' serial numbers. Raises InputError if it has no such sensor."""
-    from slipguard.datasets.recorder import from_daemon
+def _daemon_readers(client: Client, serial: str | None) -> tuple[list[Reader], list[str]]:
+    """Return readers of the daemon's sensors, and their serial numbers. Raises InputError if it has no such sensor."""
+    from slipguard.datasets.recorder import daemon_reader
 
     serials = {name: finger["serial"] for name, finger in client.state()["fingers"].items()}
     fingers = [name for name, one in serials.items() if one is not None and serial in (None, one)]
@@ -198,7 +194,7 @@ def _daemon_images(
         raise InputError(
             f"the running daemon has no {serial or 'sensor'} (it has {known}); stop the daemon or record one of those"
         )
-    return from_daemon(client, fingers, every_s), [serials[name] for name in fingers]
+    return [daemon_reader(client, name) for name in fingers], [serials[name] for name in fingers]
 
 
 def _sensors(settings: Config | None, serial: str | None) -> list[Any]:

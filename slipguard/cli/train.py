@@ -26,8 +26,13 @@ def train(
         Path | None, typer.Option(help="Folder of real background images (240x320), used for half of the frames.")
     ] = None,
     validate: Annotated[Path | None, typer.Option(help="Data set to evaluate on after every epoch.")] = None,
-    frames: Annotated[int, typer.Option(min=64, help="Number of rendered training frames.")] = 32000,
-    validation_frames: Annotated[int, typer.Option(min=10, help="Number of rendered validation frames.")] = 400,
+    frames: Annotated[
+        int,
+        typer.Option(
+            min=64,
+            help="Number of rendered frames, of which the last tenth is held out; they take 140 kB of memory each.",
+        ),
+    ] = 24000,
     epochs: Annotated[int, typer.Option(min=1, help="Epochs.")] = 6,
     seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     batch: Annotated[int, typer.Option(min=2, help="Batch size.")] = 32,
@@ -41,8 +46,12 @@ def train(
         Path | None,
         typer.Option(help="Start from the weights.pt in the work folder of an earlier training."),
     ] = None,
+    teacher: Annotated[
+        Path | None,
+        typer.Option(help="ONNX file of a larger network, to learn its probabilities as well as the labels."),
+    ] = None,
     work: Annotated[
-        Path, typer.Option(help="Folder for rendered frames and the checkpoint. A stopped training is continued.")
+        Path, typer.Option(help="Folder for the checkpoint and the weights. A stopped training is continued.")
     ] = Path("build/train"),
 ) -> None:
     """Train the segmentation network and export it as ONNX.
@@ -57,15 +66,15 @@ def train(
         )
     from rich.console import Console
 
-    from slipguard.datasets.dataset_files import IMPORTED_LABEL, labeled_frames, read_backgrounds
-    from slipguard.datasets.frame_cache import VALIDATION_SEED, read_frames, rendered_frames
+    from slipguard.datasets.dataset_files import IMPORTED_LABEL, read_backgrounds
     from slipguard.sim.contact_label import LABEL_NAME
+    from slipguard.training.augment import TrainingFrames
     from slipguard.training.onnx_export import export_small, model_metadata
-    from slipguard.training.train import TrainSettings, frame_iou
+    from slipguard.training.train import TrainSettings, scores
     from slipguard.training.train import train as fit
 
     console = Console()
-    labeled = list(labeled_frames(validate)) if validate else []
+    labeled = TrainingFrames.read(validate) if validate else None
     real_backgrounds = read_backgrounds(backgrounds) if backgrounds else None
     if start is not None and not start.is_file():
         raise InputError(
@@ -74,28 +83,26 @@ def train(
     settings = TrainSettings(epochs, batch, rate, seed, threads, threshold, bfloat16=bfloat16)
     work.mkdir(parents=True, exist_ok=True)
     with progress_bars() as add_bar:
-        if data is not None:
-            shown, held_out = read_frames(data)
-        else:
-            parts = (("rendering", seed * frames, frames), ("rendering validation", VALIDATION_SEED, validation_frames))
-            shown, held_out = (
-                rendered_frames(work, first, count, add_bar(name, count)) for name, first, count in parts
-            )
+        if data is None:
+            rendered = TrainingFrames.rendered(seed * frames, frames, add_bar("rendering", frames))
+        shown, held_out = (rendered if data is None else TrainingFrames.read(data)).split()
 
         def on_epoch(figures: EpochFigures, net: SmallNet) -> None:
             line = (
                 f"epoch {figures.epoch}: loss {figures.loss:.4f}, held-out Dice {figures.dice:.3f}, "
                 f"IoU {figures.iou:.3f}, false contacts {figures.false_contact:.1%}"
             )
-            scores = [frame_iou(net, *one, threshold) for one in labeled]
-            console.print(line + (f", {validate} IoU {sum(scores) / len(scores):.3f}" if scores else ""))
+            labeled_iou = scores(net, labeled, threshold)[1] if labeled else None
+            console.print(line + (f", {validate} IoU {labeled_iou:.3f}" if labeled_iou is not None else ""))
 
         on_step = add_bar("training", None)
-        net = fit(shown, held_out, settings, work, on_step, on_epoch, real_backgrounds, start)
+        net = fit(shown, held_out, settings, work, on_step, on_epoch, real_backgrounds, start, teacher)
     source = f"--frames {frames}" if data is None else f"--data ({len(shown)} frames)"
     command = f"slipguard train {source} --epochs {epochs} --seed {seed} --batch {batch} --rate {rate:g}"
     if bfloat16:
         command += " --bfloat16"
+    if teacher:
+        command += f" --teacher {teacher.name}"
     if start:
         command += " --start weights.pt"
     if real_backgrounds:

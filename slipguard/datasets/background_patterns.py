@@ -27,13 +27,6 @@ def patterns(kind: Callable[[np.random.Generator], Pattern], count: int, seed: i
     return np.stack([kind(rng).astype(np.float16) for _ in range(count)])
 
 
-def resized(drawn: NDArray[np.float16], size: tuple[int, int]) -> NDArray[np.float16]:
-    """Return the patterns at another (width, height): (count, height, width, 3) float16."""
-    if size == (W, H):
-        return drawn
-    return np.stack([cv2.resize(pattern.astype(np.float32), size).astype(np.float16) for pattern in drawn])
-
-
 def structure(rng: np.random.Generator) -> Pattern:
     """Return the permanent pattern of one unit's gel, standard deviation about 1."""
     field = np.zeros((H, W, 3), np.float32)

@@ -7,7 +7,6 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.samples import UNIT_FRAMES, RenderedSample, render_sample
+from slipguard.datasets.samples import render_sample, unit_blocks
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.sim.contact_label import LABEL_NAME, label
@@ -58,14 +57,11 @@ def render_dataset(
         InputError: the folder is not empty or cannot be written.
     """
     check_new(out_dir)
-    seeds = range(seed, seed + count)
-    edges = [seed, *range((seed // UNIT_FRAMES + 1) * UNIT_FRAMES, seed + count, UNIT_FRAMES), seed + count]
-    blocks = [seeds[a - seed : b - seed] for a, b in pairwise(edges)]
-    draw = partial(_rendered, first_seed=seed, split=split, backgrounds=backgrounds)
+    draw = partial(_rendered, split=split, backgrounds=backgrounds)
     with DataSetWriter(out_dir) as writer:
-        for frames in each(draw, blocks, workers, named=_block_name):
-            for line, files in frames:
-                writer.add(line, files)
+        for frames in each(draw, unit_blocks(seed, count), workers, named=_block_name):
+            for frame in frames:
+                writer.add(*frame)
                 progress(writer.written)
 
 
@@ -101,12 +97,17 @@ class DataSetWriter:
         if unwritten is not None and kind is None:
             raise _unwritable(self._out_dir, unwritten) from unwritten
 
-    def add(self, line: dict[str, Any], files: Files) -> None:
-        """Write one frame's files under the name in line["file"], and its manifest line."""
+    def add(self, source: dict[str, Any], mask: Image, files: Files) -> None:
+        """Write one frame under the next number: its files, its mask (0 or 1), and its manifest line.
+
+        The line has the file name, `source`, whether there is contact, and its share of the image.
+        """
+        name, share = f"{self.written:06d}.png", float(mask.mean())
+        line = {"file": name, **source, "has_contact": share > 0.0, "contact_share": round(share, 5)}
         try:
-            for kind, data in files.items():
+            for kind, data in {**files, MASKS: png(mask * np.uint8(255))}.items():
                 (self._out_dir / kind).mkdir(exist_ok=True)
-                (self._out_dir / kind / line["file"]).write_bytes(data)
+                (self._out_dir / kind / name).write_bytes(data)
             self._manifest.write(json.dumps(line) + "\n")
         except OSError as error:
             raise _unwritable(self._out_dir, error) from error
@@ -125,9 +126,15 @@ def data_set_pairs(folder: Path) -> list[tuple[Path, Path]]:
     return pairs
 
 
-def labeled_frames(folder: Path) -> Iterator[tuple[Image, Image | None, NDArray[np.bool_]]]:
-    """Yield image, background image (None if the data set has none) and mask of every frame. Raises InputError."""
-    for image, mask in data_set_pairs(folder):
+def labeled_frames(folder: Path, most: int | None = None) -> Iterator[tuple[Image, Image | None, NDArray[np.bool_]]]:
+    """Yield image, background image (None if the data set has none) and mask of every frame. Raises InputError.
+
+    Args:
+        most: yield at most so many frames, spread over the data set.
+    """
+    pairs = data_set_pairs(folder)
+    count = min(len(pairs), most or len(pairs))
+    for image, mask in (pairs[k * len(pairs) // count] for k in range(count)):
         background = folder / BACKGROUNDS / image.name
         yield read_bgr(image), read_bgr(background) if background.is_file() else None, read_bgr(mask)[..., 0] > 127
 
@@ -163,14 +170,17 @@ def png(image: Image) -> bytes:
 
 
 def _rendered(
-    block: range, first_seed: int, split: str, backgrounds: Sequence[Image] | None
-) -> list[tuple[dict[str, Any], Files]]:
+    block: range, split: str, backgrounds: Sequence[Image] | None
+) -> list[tuple[dict[str, Any], Image, Files]]:
     out = []
     for seed in block:
         rendered = render_sample(seed, backgrounds, split)
-        mask = label(rendered.truth)
-        files = {IMAGES: png(rendered.image), BACKGROUNDS: png(rendered.background), MASKS: png(mask * np.uint8(255))}
-        out.append((_line(f"{seed - first_seed:06d}.png", seed, split, rendered, mask), files))
+        pose = asdict(rendered.view)
+        source = {"seed": seed, "split": split, "object": pose.pop("object_name"), "label": LABEL_NAME}
+        del pose["effects"]  # training frames have none
+        source |= {key: round(value, 4) for key, value in pose.items()}
+        files = {IMAGES: png(rendered.image), BACKGROUNDS: png(rendered.background)}
+        out.append((source, label(rendered.truth), files))
     return out
 
 
@@ -178,28 +188,12 @@ def _block_name(block: range) -> str:
     return f"seeds {block.start} to {block.stop - 1}"
 
 
-def _line(name: str, seed: int, split: str, rendered: RenderedSample, mask: Image) -> dict[str, Any]:
-    pose = asdict(rendered.view)
-    del pose["effects"]  # training frames have none
-    return {
-        "file": name,
-        "seed": seed,
-        "split": split,
-        "object": pose.pop("object_name"),
-        "has_contact": rendered.has_contact,
-        "contact_share": round(float(mask.mean()), 5),
-        "label": LABEL_NAME,
-        **{key: round(value, 4) for key, value in pose.items()},
-    }
-
-
 def _unwritable(folder: Path, error: OSError) -> InputError:
     return InputError(f"{folder}: cannot be written ({error.strerror or error}); choose another folder")
 
 
-COLUMNS, ROWS = 10, 3
+SHEET_COLUMNS, SHEET_FRAMES = 10, 30
 TILE_PX = (120, 160)
-_TINT_BGR = (0, 200, 255)
 
 
 def contact_sheet(folder: Path, target: Path) -> None:
@@ -208,11 +202,10 @@ def contact_sheet(folder: Path, target: Path) -> None:
     The difference is to the background image. Raises InputError if `folder` has no data set or `target` cannot be
     written.
     """
-    pairs = data_set_pairs(folder)
-    count = min(len(pairs), COLUMNS * ROWS)
-    tiles = [_tile(folder, *pairs[k * len(pairs) // count]) for k in range(count)]
-    columns = min(COLUMNS, count)
-    tiles += [np.zeros_like(tiles[0])] * (-count % columns)
+    frames = list(labeled_frames(folder, SHEET_FRAMES))
+    tiles = [_tile(*frame) for frame in frames]
+    columns = min(SHEET_COLUMNS, len(tiles))
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
     rows = [np.hstack(tiles[k : k + columns]) for k in range(0, len(tiles), columns)]
     try:
         target.write_bytes(png(np.asarray(np.vstack(rows), np.uint8)))
@@ -220,18 +213,10 @@ def contact_sheet(folder: Path, target: Path) -> None:
         raise InputError(f"{target}: cannot be written ({error.strerror or error}); choose another path") from error
 
 
-def _tile(folder: Path, image_path: Path, mask_path: Path) -> Image:
-    image = cv2.resize(read_bgr(image_path), TILE_PX, interpolation=cv2.INTER_AREA)
-    mask = np.asarray(cv2.resize(read_bgr(mask_path)[..., 0], TILE_PX, interpolation=cv2.INTER_AREA) > 127)
-    labeled = image.copy()
-    labeled[mask] = (labeled[mask] * 0.65 + np.asarray(_TINT_BGR) * 0.35).astype(np.uint8)
+def _tile(image: Image, background: Image | None, mask: NDArray[np.bool_]) -> Image:
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    cv2.drawContours(labeled, contours, -1, (255, 255, 255), 1)
-    parts = [image, labeled]
-    background = folder / BACKGROUNDS / image_path.name
-    if (folder / BACKGROUNDS).is_dir():
-        under = cv2.resize(read_bgr(background), TILE_PX, interpolation=cv2.INTER_AREA)
-        parts.append(np.clip(image.astype(np.int16) - under + 128, 0, 255).astype(np.uint8))
-    tile = np.vstack(parts)
-    tile[:, -1] = tile[-1] = 0
-    return np.asarray(tile, np.uint8)
+    outlined = cv2.drawContours(image.copy(), contours, -1, (255, 255, 255), 2)
+    gray = np.full_like(image, 128)
+    change = gray if background is None else np.clip(image.astype(np.int16) - background + 128, 0, 255)
+    parts = [np.asarray(cv2.resize(np.asarray(one, np.uint8), TILE_PX)) for one in (image, outlined, change)]
+    return np.asarray(np.vstack(parts), np.uint8)

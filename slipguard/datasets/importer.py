@@ -126,9 +126,7 @@ def import_dataset(
                 left_out.append(result)
                 continue
             files = result.files if under is None else result.files | {BACKGROUNDS: under}
-            name = {"file": f"{writer.written:06d}.png", "source": pair.name, "split": "imported"}
-            found = {"has_contact": result.share > 0.0, "contact_share": round(result.share, 5)}
-            writer.add(name | {"label": IMPORTED_LABEL} | found, files)
+            writer.add({"source": pair.name, "split": "imported", "label": IMPORTED_LABEL}, result.mask, files)
             rotated += result.rotated
             stretched += result.stretched
     if writer.written == 0:
@@ -139,7 +137,7 @@ def import_dataset(
 @dataclass(frozen=True, slots=True)
 class _ConvertedPair:
     files: Files
-    share: float
+    mask: Image
     rotated: bool
     stretched: bool
 
@@ -163,8 +161,9 @@ def _frame(pair: ImagePair) -> _ConvertedPair:
     method = cv2.INTER_AREA if image.shape[0] >= FRAME_HEIGHT_PX else cv2.INTER_LINEAR
     fitted = np.asarray(cv2.resize(image, _SIZE, interpolation=method), np.uint8)
     contact = cv2.resize(mask * np.uint8(255), _SIZE, interpolation=cv2.INTER_LINEAR) > 127
-    files = {IMAGES: png(fitted), MASKS: png(contact.astype(np.uint8) * np.uint8(255))}
-    return _ConvertedPair(files, float(contact.mean()), landscape, abs(stretch - 1.0) > SHAPE_TOLERANCE)
+    return _ConvertedPair(
+        {IMAGES: png(fitted)}, contact.astype(np.uint8), landscape, abs(stretch - 1.0) > SHAPE_TOLERANCE
+    )
 
 
 def _read_mask(path: Path) -> Image:

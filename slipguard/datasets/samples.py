@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -51,6 +52,13 @@ class RenderedSample:
     truth: GelTruth
     view: GelView
     has_contact: bool
+
+
+def unit_blocks(first_seed: int, count: int) -> list[range]:
+    """Return `count` seeds from `first_seed` on, in blocks that share a sensor unit."""
+    seeds = range(first_seed, first_seed + count)
+    edges = [first_seed, *(seed for seed in seeds[1:] if seed % UNIT_FRAMES == 0), first_seed + count]
+    return [range(*edge) for edge in pairwise(edges)]
 
 
 def render_sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "train") -> RenderedSample:

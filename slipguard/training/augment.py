@@ -1,8 +1,10 @@
-"""Augmentation of rendered frames to the variety of real units: light, drift, wear, unknown backgrounds."""
+"""Training frames, and their augmentation to the variety of real units: light, drift, wear, unknown backgrounds."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,9 +12,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from slipguard.datasets.background_patterns import drift, patterns, resized, structure
+from slipguard.datasets.background_patterns import drift, patterns, structure
+from slipguard.datasets.dataset_files import Image, data_set_pairs, labeled_frames
+from slipguard.datasets.samples import render_sample, unit_blocks
+from slipguard.errors import InputError
 from slipguard.perception.background import estimate_background
 from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
+from slipguard.sim.contact_label import label
+from slipguard.tools.parallel import Workers, each
 
 STRUCTURE_LEVELS = 28.0
 DRIFT_LEVELS = 16.0
@@ -21,8 +28,93 @@ LIGHT_LEVELS = (5.0, 2.5, 2.5, 1.5, 1.5, 1.5)
 BACKGROUND_NOISE_LEVELS = 1.2
 """Camera noise in a background image of a single frame, at network resolution."""
 NOISE_POOL = 64
+CONTRAST = (0.6, 2.0)
+"""Strength of the imprint, relative to the rendered one."""
+UNKNOWN_SHARE = 0.3
+"""Of the samples: their background image is replaced by an estimate from the frame."""
 REAL_SHARE = 0.5
+ZOOM_SHARE = 0.2
 ZOOM_MAX = 2.2
+_SIZE = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX)
+_Row = tuple[Image, Image, float, Image]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingFrames:
+    """Frames at network resolution.
+
+    Attributes:
+        frame, background: (N, 160, 120, 3) uint8 BGR.
+        known: (N,) float32, 1: `background` is the unit's own, 0: it is estimated from the frame.
+        label: (N, 160, 120) uint8, 255 is contact.
+    """
+
+    frame: Image
+    background: Image
+    known: NDArray[np.float32]
+    label: Image
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def part(self, which: slice | NDArray[np.int64]) -> TrainingFrames:
+        return TrainingFrames(self.frame[which], self.background[which], self.known[which], self.label[which])
+
+    @staticmethod
+    def read(folder: Path) -> TrainingFrames:
+        """Return the frames of a data set; missing background images are estimated. Raises InputError."""
+        return _collected(len(data_set_pairs(folder)), (_row(*one) for one in labeled_frames(folder)))
+
+    @staticmethod
+    def rendered(
+        first_seed: int, count: int, progress: Callable[[int], None], workers: Workers | None = None
+    ) -> TrainingFrames:
+        """Return the frames of `count` seeds of `render_sample` from `first_seed` on; they take 140 kB each.
+
+        `progress` is called with the number of frames ready.
+        """
+        blocks = each(_rendered_rows, unit_blocks(first_seed, count), workers)
+        return _collected(count, (row for rows in blocks for row in rows), progress)
+
+    def split(self) -> tuple[TrainingFrames, TrainingFrames]:
+        """Return the frames for training, and the last tenth, at least one, to hold out: neighbors stay together.
+
+        Raises:
+            InputError: There are fewer than two frames.
+        """
+        if len(self) < 2:
+            raise InputError(f"{len(self)} frame, minimum 2: one is held out. Add frames.")
+        at = len(self) - max(len(self) // 10, 1)
+        return self.part(slice(at)), self.part(slice(at, None))
+
+
+def _collected(count: int, rows: Iterable[_Row], progress: Callable[[int], None] = lambda done: None) -> TrainingFrames:
+    size = (count, INPUT_HEIGHT_PX, INPUT_WIDTH_PX)
+    frames = TrainingFrames(
+        np.empty((*size, 3), np.uint8),
+        np.empty((*size, 3), np.uint8),
+        np.ones(count, np.float32),
+        np.empty(size, np.uint8),
+    )
+    for index, row in enumerate(rows):
+        frames.frame[index], frames.background[index], frames.known[index], frames.label[index] = row
+        progress(index + 1)
+    return frames
+
+
+def _rendered_rows(seeds: range) -> list[_Row]:
+    samples = [render_sample(seed) for seed in seeds]
+    return [_row(one.image, one.background, label(one.truth) > 0) for one in samples]
+
+
+def _row(image: Image, background: Image | None, mask: NDArray[np.bool_]) -> _Row:
+    frame, target = _resized(image), _resized(mask * np.uint8(255))
+    shown = estimate_background(frame) if background is None else _resized(background)
+    return frame, shown, float(background is not None), target
+
+
+def _resized(image: Image) -> Image:
+    return np.asarray(cv2.resize(image, _SIZE, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,44 +136,26 @@ class Augment:
     Args:
         seed: Seed of all random numbers.
         pool: Number of structure and drift patterns.
-        unknown: Share of samples whose background image is replaced by an estimate from the frame.
-        contrast_max: Strongest imprint, relative to the rendered one.
         backgrounds: Real background images (320, 240, 3) that half of the imprints are put on.
-        zoom_share: Share of samples that are enlarged.
-        size: (width, height) of the network's input.
     """
 
-    def __init__(
-        self,
-        seed: int,
-        pool: int = 800,
-        unknown: float = 0.25,
-        contrast_max: float = 1.5,
-        backgrounds: list[NDArray[np.uint8]] | None = None,
-        zoom_share: float = 0.0,
-        size: tuple[int, int] = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX),
-    ) -> None:
+    def __init__(self, seed: int, pool: int = 800, backgrounds: list[Image] | None = None) -> None:
         self._rng = torch.Generator().manual_seed(seed)
-        self._structure = torch.from_numpy(resized(patterns(structure, pool, seed), size))
-        self._drift = torch.from_numpy(resized(patterns(drift, pool, seed + 1), size))
-        width, height = self._size = size
-        noise = torch.randn((NOISE_POOL, height, width, 3), generator=self._rng)
-        self._noise = noise.half()
-        self._unknown = unknown
-        self._contrast_max = contrast_max
-        self._zoom_share = zoom_share
-        self._backgrounds = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in backgrounds or []]
+        self._structure = torch.from_numpy(patterns(structure, pool, seed))
+        self._drift = torch.from_numpy(patterns(drift, pool, seed + 1))
+        width, height = _SIZE
+        self._noise = torch.randn((NOISE_POOL, height, width, 3), generator=self._rng).half()
+        self._backgrounds = [_resized(image) for image in backgrounds or []]
         y, x = torch.meshgrid(torch.linspace(-1, 1, height), torch.linspace(-1, 1, width), indexing="ij")
         third = torch.full_like(x, 1.0 / 3.0)
         self._light = torch.stack([torch.ones_like(x), x, y, x * y, x * x - third, y * y - third])
 
-    def __call__(self, frame: Tensor, background: Tensor, label: Tensor) -> TrainingBatch:
-        """Return an augmented batch. frame, background: (N, 160, 120, 3) uint8; label: (N, 160, 120), 255: contact."""
-        count = len(frame)
-        if self._zoom_share:
-            frame, background, label = self._zoom(frame, background, label)
+    def __call__(self, frames: TrainingFrames) -> TrainingBatch:
+        """Return an augmented batch of all `frames`."""
+        count = len(frames)
+        frame, background, label = self._zoom(frames)
         unit = background.float()
-        change = (frame.float() - unit) * self._between(count, 0.6, self._contrast_max)
+        change = (frame.float() - unit) * self._between(count, *CONTRAST)
         unit = self._put_on_real(unit)
         image = unit + change
         image, unit = self._add_structure(image, unit)
@@ -94,15 +168,15 @@ class Augment:
         image, unit, label = image.flip(axes), unit.flip(axes), label.flip(axes)
         shown = image.round().clamp(0, 255).byte()
         reference = unit.round().clamp(0, 255).byte()
-        known = (torch.rand(count, generator=self._rng) >= self._unknown).float()
+        known = torch.from_numpy(frames.known) * (torch.rand(count, generator=self._rng) >= UNKNOWN_SHARE)
         for index in torch.nonzero(known == 0).flatten().tolist():
             reference[index] = torch.from_numpy(estimate_background(shown[index].numpy()))
         return TrainingBatch(shown, reference, known, label[:, None].float() / 255.0)
 
-    def _zoom(self, frame: Tensor, background: Tensor, label: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _zoom(self, frames: TrainingFrames) -> tuple[Tensor, Tensor, Tensor]:
         """Enlarge a share of the samples by up to `ZOOM_MAX` around a point of the imprint: broad, smooth bulges."""
-        images = [frame.numpy().copy(), background.numpy().copy(), label.numpy().copy()]
-        for index in torch.nonzero(torch.rand(len(frame), generator=self._rng) < self._zoom_share).flatten().tolist():
+        images = [frames.frame.copy(), frames.background.copy(), frames.label.copy()]
+        for index in torch.nonzero(torch.rand(len(frames), generator=self._rng) < ZOOM_SHARE).flatten().tolist():
             rows, columns = np.nonzero(images[2][index])
             if len(rows) == 0:
                 continue
@@ -111,7 +185,7 @@ class Augment:
             about = ((columns[at] + columns.mean()) / 2.0, (rows[at] + rows.mean()) / 2.0)
             matrix = cv2.getRotationMatrix2D(about, 0.0, 1.0 + (ZOOM_MAX - 1.0) * zoom)
             for image in images:
-                image[index] = cv2.warpAffine(image[index], matrix, self._size, borderMode=cv2.BORDER_REPLICATE)
+                image[index] = cv2.warpAffine(image[index], matrix, _SIZE, borderMode=cv2.BORDER_REPLICATE)
         return torch.from_numpy(images[0]), torch.from_numpy(images[1]), torch.from_numpy(images[2])
 
     def _put_on_real(self, unit: Tensor) -> Tensor:
@@ -128,10 +202,10 @@ class Augment:
         """Return a real background image rotated by up to 15 degrees, enlarged, shifted and sometimes mirrored."""
         which, rotation, scale, right, down, mirror = torch.rand(6, generator=self._rng).tolist()
         image = self._backgrounds[int(which * len(self._backgrounds))]
-        center = (self._size[0] / 2, self._size[1] / 2)
+        center = (INPUT_WIDTH_PX / 2, INPUT_HEIGHT_PX / 2)
         matrix = cv2.getRotationMatrix2D(center, 30.0 * rotation - 15.0, 1.0 + 0.4 * scale)
         matrix[:, 2] += (20.0 * right - 10.0, 20.0 * down - 10.0)
-        warped = cv2.warpAffine(image, matrix, self._size, borderMode=cv2.BORDER_REFLECT)
+        warped = cv2.warpAffine(image, matrix, _SIZE, borderMode=cv2.BORDER_REFLECT)
         return torch.from_numpy(warped[:, ::-1].copy() if mirror < 0.3 else warped).float()
 
     def _add_structure(self, image: Tensor, unit: Tensor) -> tuple[Tensor, Tensor]:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-from slipguard.datasets.frame_cache import TrainingFrames
 from slipguard.errors import ModelError
 from slipguard.perception.segmenter import CONTRACT, CONTRACT_ANY_INPUT, INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 from slipguard.sim.contact_label import LABEL_NAME
+from slipguard.training.augment import TrainingFrames
 from slipguard.training.small_network import ProbabilityNet, SmallNet, example_inputs
 
 DIFFERENCE_MAX = 1e-4

@@ -7,98 +7,83 @@ estimates that level, which is subtracted; a contact patch hardly affects it bec
 
 from __future__ import annotations
 
-from typing import Literal
-
 import torch
 from torch import Tensor, nn
 
 from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 
-Inputs = Literal["both", "change", "frame"]
-SCALE = 1.0 / 48.0
-"""Gray levels to network units: a strong imprint is about 50 to 100 gray levels."""
+WIDTHS = (16, 32, 64)
+"""Channels at a half, a quarter and an eighth of the input. Multiples of 16: onnxruntime computes these in blocks."""
+DILATIONS = (1, 2, 4, 1, 2, 4)
+"""Of the blocks at an eighth; together they see the whole image."""
+MIDDLE_GRAY = 96.0
 
 
-def _conv(inputs: int, outputs: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
-    conv = nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False)
+class _Block(nn.Module):
+    """A residual 3x3 convolution, separable: each channel by itself, then a mix of the channels in every pixel."""
+
+    def __init__(self, channels: int, dilation: int = 1) -> None:
+        super().__init__()
+        self.change = nn.Sequential(
+            nn.Conv2d(channels, channels, 3, 1, dilation, dilation, channels, bias=False),
+            nn.BatchNorm2d(channels),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(channels, channels, 1, bias=False),
+            nn.BatchNorm2d(channels),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        return torch.relu(x + self.change(x))
+
+
+def _halved(inputs: int, outputs: int) -> nn.Sequential:
+    conv = nn.Conv2d(inputs, outputs, 3, 2, 1, bias=False)
     return nn.Sequential(conv, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 
 class SmallNet(nn.Module):
-    """Encoder-decoder with four strides of two, global context at the coarsest level and a sub-pixel head.
+    """Encoder-decoder with three strides of two, separable blocks, global context and a sub-pixel head.
 
     Full resolution takes most of the time on one core: the first convolution has a stride, and the head restores the
     resolution by depth-to-space. The position of a contour depends on the deepest press anywhere in the image, so at
     the coarsest level every place gets the mean and the maximum of the whole image.
 
-    `forward` takes frame and background, (N, 160, 120, 3) uint8 BGR, halved by area (any size that is a multiple of 16
-    works, and 120), and background_known, (N,) float: 1 if `background` is the unit's background image, 0 if it is
-    estimated from the frame. It returns logits (N, 1, 160, 120).
-
-    Args:
-        widths: Channels at a half, a quarter, an eighth and a sixteenth of the input; the last may be 0: then there is
-            no such level and no global context.
-        inputs: The change since the background image, the frame, or both.
+    `forward` takes frame and background, (N, 160, 120, 3) uint8 BGR, halved by area, and background_known, (N,) float:
+    1 if `background` is the unit's background image, 0 if it is estimated from the frame. It returns logits
+    (N, 1, 160, 120).
     """
 
-    def __init__(self, widths: tuple[int, int, int, int] = (16, 32, 64, 96), inputs: Inputs = "both") -> None:
+    def __init__(self) -> None:
         super().__init__()
-        a, b, c, d = widths
-        self.inputs = inputs
-        self.stem = nn.Conv2d(6 if inputs == "both" else 3, a, 5, 2, 2)
-        self.known = nn.Parameter(torch.zeros(1, a, 1, 1))
-        self.stem_rest = nn.Sequential(nn.BatchNorm2d(a), nn.ReLU(inplace=True))
-        self.down1 = nn.Sequential(_conv(a, b, stride=2), _conv(b, b))
-        self.down2 = _conv(b, c, stride=2)
-        self.middle = nn.ModuleList(_conv(c, c, dilation=2**n) for n in range(1 if d else 3))
-        self.context = _GlobalContext(c, d) if d else None
-        self.side2 = nn.Conv2d(c, b, 1)
-        self.up2 = _conv(b, b)
-        self.side1 = nn.Conv2d(b, a, 1)
-        self.up1 = _conv(a, a)
-        self.head = nn.Conv2d(a, 4, 3, 1, 1)
+        a, b, c = WIDTHS
+        self.down_half = _halved(6, a)
+        self.down_quarter = nn.Sequential(_halved(a, b), _Block(b), _Block(b))
+        self.down_eighth = nn.Sequential(_halved(b, c), _Block(c))
+        self.context = nn.Sequential(nn.Conv2d(2 * c + 1, c, 1), nn.ReLU(inplace=True), nn.Conv2d(c, c, 1))
+        self.middle = nn.Sequential(*(_Block(c, dilation) for dilation in DILATIONS))
+        self.to_quarter = nn.Conv2d(c, b, 1)
+        self.up_quarter = nn.Sequential(_Block(b), _Block(b))
+        self.to_half = nn.Conv2d(b, a, 1)
+        self.up_half = _Block(a)
+        self.head = nn.Conv2d(a, 4, 1)
 
     def forward(self, frame: Tensor, background: Tensor, background_known: Tensor) -> Tensor:
-        inputs = self._inputs(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float())
-        half = self.stem_rest(self.stem(inputs) + self.known * background_known.view(-1, 1, 1, 1))
-        quarter = self.down1(half)
-        eighth = self.down2(quarter)
-        for block in self.middle:
-            eighth = eighth + block(eighth)
-        if self.context is not None:
-            eighth = self.context(eighth)
-        quarter = self.up2(quarter + nn.functional.interpolate(self.side2(eighth), scale_factor=2.0))
-        half = self.up1(half + nn.functional.interpolate(self.side1(quarter), scale_factor=2.0))
+        half = self.down_half(_inputs(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float()))
+        quarter = self.down_quarter(half)
+        eighth = self.down_eighth(quarter)
+        whole = (eighth.mean((2, 3), keepdim=True), eighth.amax((2, 3), keepdim=True))
+        eighth = self.middle(eighth + self.context(torch.cat((*whole, background_known.view(-1, 1, 1, 1)), 1)))
+        quarter = self.up_quarter(quarter + nn.functional.interpolate(self.to_quarter(eighth), scale_factor=2.0))
+        half = self.up_half(half + nn.functional.interpolate(self.to_half(quarter), scale_factor=2.0))
         return nn.functional.pixel_shuffle(self.head(half), 2)
 
-    def _inputs(self, image: Tensor, background: Tensor) -> Tensor:
-        change = image - background
-        level = change.clamp(-12.0, 12.0).mean((2, 3), keepdim=True)
-        level = level + (change - level).clamp(-6.0, 6.0).mean((2, 3), keepdim=True)
-        views = {"change": (change - level) * SCALE, "frame": (image - 96.0) * (SCALE / 2)}
-        return torch.cat([views[name] for name in ("change", "frame") if self.inputs in (name, "both")], 1)
 
-
-class _GlobalContext(nn.Module):
-    """The level at a sixteenth of the input, where every place gets the mean and maximum of the whole image."""
-
-    def __init__(self, outer: int, width: int) -> None:
-        super().__init__()
-        self.down = _conv(outer, width, stride=2)
-        self.pooled = nn.Sequential(nn.Conv2d(2 * width, width, 1), nn.ReLU(), nn.Conv2d(width, width, 1))
-        self.blocks = nn.ModuleList(_conv(width, width, dilation=dilation) for dilation in (1, 2))
-        self.side = nn.Conv2d(width, outer, 1)
-        self.up = _conv(outer, outer)
-
-    def forward(self, outer: Tensor) -> Tensor:
-        inner = self.down(outer)
-        inner = inner + self.pooled(torch.cat((inner.mean((2, 3), keepdim=True), inner.amax((2, 3), keepdim=True)), 1))
-        for block in self.blocks:
-            inner = inner + block(inner)
-        height, width = outer.shape[2:]
-        back = nn.functional.interpolate(self.side(inner), scale_factor=2.0)[:, :, :height, :width]
-        mixed: Tensor = self.up(outer + back)
-        return mixed
+def _inputs(frame: Tensor, background: Tensor) -> Tensor:
+    change = frame - background
+    sparse = change[:, :, ::4, ::4]
+    level = sparse.clamp(-12.0, 12.0).mean((2, 3), keepdim=True)
+    level = level + (sparse - level).clamp(-6.0, 6.0).mean((2, 3), keepdim=True)
+    return torch.cat((change - level, frame - MIDDLE_GRAY), 1)
 
 
 class ProbabilityNet(nn.Module):

@@ -1,32 +1,32 @@
-"""Training of the small segmentation network on rendered frames: resumable, reproducible, on a CPU."""
+"""Training of the small segmentation network: resumable, reproducible, on a CPU."""
 
 from __future__ import annotations
 
-import copy
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from slipguard.datasets.frame_cache import TrainingFrames
 from slipguard.datasets.mask_scores import dice, iou
-from slipguard.errors import InputError
-from slipguard.perception.background import estimate_background
-from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
-from slipguard.training.augment import Augment
+from slipguard.errors import InputError, ModelError
+from slipguard.perception.segmenter import CONTRACT, Segmenter
+from slipguard.training.augment import Augment, TrainingBatch, TrainingFrames
+from slipguard.training.onnx_export import INPUTS, open_session
 from slipguard.training.small_network import SmallNet
 
 WARM_UP_SHARE = 0.05
-EMA_HALF_LIFE_EPOCHS = 0.25
+AVERAGE_HALF_LIFE_EPOCHS = 0.25
 DICE_SMOOTHING_PX = 20.0
+FALSE_CONTACT_PX = 40
+"""Of 19,200: more contact in a frame without any is a false contact."""
+TEACHER_SHARE = 0.5
+"""Of the target, the rest is the label: the teacher is smooth where a label is sharp."""
 WEIGHTS = "weights.pt"
 """In the work folder: the final weights, from which a later training can start."""
 
@@ -35,9 +35,8 @@ WEIGHTS = "weights.pt"
 class TrainSettings:
     """What determines a training, with the frames.
 
-    unknown: share of samples with an estimated background image. contrast_max: strongest imprint, relative to the
-    rendered one. zoom_share: share of samples enlarged to broad bulges. bfloat16: convolutions in half precision, in
-    half the time on a processor that supports it (AVX512-BF16, AMX), slower on others.
+    patterns: random disturbances of each kind per epoch. bfloat16: convolutions in half precision, in half the time on
+    a processor that supports it (AVX512-BF16, AMX), slower on others.
     """
 
     epochs: int = 6
@@ -47,17 +46,13 @@ class TrainSettings:
     threads: int = 2
     threshold: float = 0.5
     patterns: int = 800
-    """Random disturbances of each kind per epoch."""
-    unknown: float = 0.3
-    contrast_max: float = 2.0
-    zoom_share: float = 0.2
     bfloat16: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class EpochFigures:
-    """loss: mean over the epoch; dice, iou: means over rendered validation frames with contact;
-    false_contact: share of validation frames without contact that have more than 40 of 19,200 pixels of contact.
+    """loss: mean over the epoch; dice, iou: means over the held-out frames with contact; false_contact: share of those
+    without that have more than `FALSE_CONTACT_PX` of contact.
     """
 
     epoch: int
@@ -67,206 +62,142 @@ class EpochFigures:
     false_contact: float
 
 
-FALSE_CONTACT_PX = 40
-
-
-def segmentation_loss(logits: Tensor, label: Tensor) -> Tensor:
+def segmentation_loss(logits: Tensor, target: Tensor) -> Tensor:
     """Return twice the mean binary cross-entropy plus one minus the soft Dice of the samples with contact."""
-    entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, label)
+    entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, target)
     probability = torch.sigmoid(logits)
-    both = (probability * label).sum((1, 2, 3))
-    total = (probability + label).sum((1, 2, 3))
-    touching = (label.sum((1, 2, 3)) > 0).float()
+    both = (probability * target).sum((1, 2, 3))
+    total = (probability + target).sum((1, 2, 3))
+    touching = (target.sum((1, 2, 3)) > 0).float()
     overlap = (2.0 * both + DICE_SMOOTHING_PX) / (total + DICE_SMOOTHING_PX)
     return 2.0 * entropy + ((1.0 - overlap) * touching).mean()
 
 
+class Teacher:
+    """A trained network that runs on the batches of another's training. Raises ModelError for an unsuitable file."""
+
+    def __init__(self, path: Path) -> None:
+        if Segmenter(path).metadata["slipguard_contract"] != CONTRACT:
+            raise ModelError(f"{path}: a teacher must be a network of contract {CONTRACT}; set the small network")
+        self._session = open_session(path)
+
+    def __call__(self, batch: TrainingBatch) -> Tensor:
+        """Return its probabilities, (N, 1, 160, 120)."""
+        arrays = (batch.frame.numpy(), batch.background.numpy(), batch.known.numpy())
+        feeds = (dict(zip(INPUTS, (one[None] for one in row), strict=True)) for row in zip(*arrays, strict=True))
+        return torch.from_numpy(np.concatenate([self._session.run(None, feed)[0] for feed in feeds]))
+
+
 def train(
     frames: TrainingFrames,
-    validation: TrainingFrames,
+    held_out: TrainingFrames,
     settings: TrainSettings,
     work: Path,
     on_step: Callable[[int, int], None],
     on_epoch: Callable[[EpochFigures, SmallNet], None],
     backgrounds: list[NDArray[np.uint8]] | None = None,
     start: Path | None = None,
-    make_net: Callable[[], SmallNet] = SmallNet,
+    teacher: Path | None = None,
 ) -> SmallNet:
-    """Train and return the averaged network. Adam, linear warm-up, cosine decay to zero, exponential average.
+    """Train and return the averaged network. Adam, one cycle of the rate, exponential average of the weights.
 
     Args:
         frames: Frames for training.
-        validation: Frames for the figures of each epoch.
+        held_out: Frames for the figures of each epoch.
         settings: What determines the training.
         work: Folder of the checkpoint and the final weights. A training resumes from its last whole epoch.
         on_step: Called with the number of finished and of all batches.
         on_epoch: Called with the figures and the average so far.
         backgrounds: Real background images (320, 240, 3) that half of the imprints are put on.
-        start: Weights of an earlier training of the same network, to start with instead of random ones.
-        make_net: Makes the network.
+        start: Weights of an earlier training, to start with instead of random ones.
+        teacher: A network of contract 1 whose probabilities, seeing the same augmented frames, are half of the target.
 
     Raises:
         InputError: There are fewer frames than one batch, or `start` holds other weights.
+        ModelError: The teacher is no network of contract 1.
     """
-    steps_per_epoch = len(frames) // settings.batch
-    if steps_per_epoch < 1:
+    steps = len(frames) // settings.batch
+    if steps < 1:
         raise InputError(f"{len(frames)} frames are fewer than one batch of {settings.batch}; use more frames")
     torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
-    net = make_net()
+    net = SmallNet()
     if start is not None:
-        _load_weights(net, start)
-    _channels_last(net)
-    average = copy.deepcopy(net)
-    total = settings.epochs * steps_per_epoch
+        load_weights(net, start)
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload, unused-ignore]
+    teach = None if teacher is None else Teacher(teacher)
+    keep = 0.5 ** (1.0 / max(AVERAGE_HALF_LIFE_EPOCHS * steps, 1.0))
+    average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(keep), use_buffers=True)
+    averaged: SmallNet = average.module
     optimizer = torch.optim.Adam(net.parameters(), settings.rate)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, partial(_rate_share, total=total))
+    total = settings.epochs * steps
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, settings.rate, max(total + 1, 10), pct_start=WARM_UP_SHARE, cycle_momentum=False
+    )
+    parts = (net, average, optimizer, schedule)
+    identity = asdict(settings) | {"threads": 0, "frames": len(frames), "teacher": teacher.name if teacher else ""}
     checkpoint = work / "checkpoint.pt"
-    done_epochs = _resume(checkpoint, settings, len(frames), net, average, optimizer, schedule)
-    keep = 0.5 ** (1.0 / max(EMA_HALF_LIFE_EPOCHS * steps_per_epoch, 1.0))
-    for epoch in range(done_epochs, settings.epochs):
-        augment = _augment(frames, settings, epoch, backgrounds)
+    for epoch in range(_resume(checkpoint, identity, parts), settings.epochs):
+        augment = Augment(settings.seed + 1000 * (epoch + 1), settings.patterns, backgrounds)
         order = np.random.default_rng([settings.seed, epoch]).permutation(len(frames))
         net.train()
         losses = 0.0
-        for step in range(steps_per_epoch):
-            pick = np.sort(order[step * settings.batch : (step + 1) * settings.batch])
-            batch = augment(*(torch.from_numpy(a[pick]) for a in (frames.frame, frames.background, frames.label)))
+        for step in range(steps):
+            batch = augment(frames.part(np.sort(order[step * settings.batch :][: settings.batch])))
             with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
                 logits = net(batch.frame, batch.background, batch.known)
-            loss = segmentation_loss(logits.float(), batch.label)
+            target = batch.label if teach is None else torch.lerp(batch.label, teach(batch), TEACHER_SHARE)
+            loss = segmentation_loss(logits.float(), target)
             optimizer.zero_grad()
             torch.autograd.backward(loss)
             optimizer.step()
             schedule.step()
+            average.update_parameters(net)
             losses += float(loss.detach())
-            done = epoch * steps_per_epoch + step + 1
-            _average_into(average, net, min(keep, done / (done + 10.0)))
-            on_step(done, total)
-        scores = rendered_scores(average, validation, settings.threshold)
-        on_epoch(EpochFigures(epoch + 1, losses / steps_per_epoch, *scores), average)
-        state = [part.state_dict() for part in (net, average, optimizer, schedule)]
-        torch.save(
-            {"settings": asdict(settings), "frames": len(frames), "epoch": epoch + 1, "state": state}, checkpoint
-        )
-    torch.save(average.state_dict(), work / WEIGHTS)
-    average.eval()
-    return average
+            on_step(epoch * steps + step + 1, total)
+        figures = EpochFigures(epoch + 1, losses / steps, *scores(averaged, held_out, settings.threshold))
+        on_epoch(figures, averaged)
+        state = [part.state_dict() for part in parts]
+        torch.save({"identity": identity, "epoch": epoch + 1, "state": state}, checkpoint)
+    torch.save(averaged.state_dict(), work / WEIGHTS)
+    averaged.eval()
+    return averaged
 
 
-def _augment(
-    frames: TrainingFrames, settings: TrainSettings, epoch: int, backgrounds: list[NDArray[np.uint8]] | None
-) -> Augment:
-    height, width = frames.label.shape[1:]
-    return Augment(
-        settings.seed + 1000 * (epoch + 1),
-        settings.patterns,
-        settings.unknown,
-        settings.contrast_max,
-        backgrounds,
-        settings.zoom_share,
-        (width, height),
-    )
-
-
-def _channels_last(net: SmallNet) -> None:
-    """Store weights in the memory order in which a CPU convolves fastest."""
-    for weights in net.parameters():
-        if weights.ndim == 4:
-            weights.data = weights.data.contiguous(memory_format=torch.channels_last)
-
-
-def _load_weights(net: SmallNet, path: Path) -> None:
-    """Load all weights of a network. Raises InputError if the file lacks some or has others."""
-    advice = "give the weights.pt of a training by this version of slipguard"
+def load_weights(net: SmallNet, path: Path) -> None:
+    """Load all weights of a network. Raises InputError if the file cannot be read, lacks some or has others."""
     try:
-        weights = dict(torch.load(path, map_location="cpu", weights_only=True))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); {advice}") from error
+        net.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
     except Exception as error:
-        raise InputError(f"{path}: not a file of weights; {advice}") from error
-    own = {name: tuple(value.shape) for name, value in net.state_dict().items()}
-    found = {name: tuple(getattr(value, "shape", ())) for name, value in weights.items()}
-    wrong = sorted(name for name in own.keys() | found.keys() if own.get(name) != found.get(name))
-    if wrong:
-        missing = len(own.keys() - found.keys())
         raise InputError(
-            f"{path}: weights of another network ({len(wrong)} of {len(own)} tensors differ, {missing} are missing, "
-            f"first {wrong[0]}); {advice}"
-        )
-    net.load_state_dict(weights)
+            f"{path}: not the weights of this network; give the weights.pt of a training by this version of slipguard"
+        ) from error
 
 
-def _rate_share(step: int, total: int) -> float:
-    warm = max(WARM_UP_SHARE * total, 1.0)
-    if step < warm:
-        return (step + 1) / warm
-    return 0.5 * (1.0 + math.cos(math.pi * min((step - warm) / max(total - warm, 1.0), 1.0))) + 1e-3
-
-
-def _average_into(average: SmallNet, net: SmallNet, keep: float) -> None:
-    with torch.no_grad():
-        for mean, now in zip(average.state_dict().values(), net.state_dict().values(), strict=True):
-            if mean.dtype.is_floating_point:
-                mean.mul_(keep).add_(now, alpha=1.0 - keep)
-            else:
-                mean.copy_(now)
-
-
-def _resume(path: Path, settings: TrainSettings, count: int, *parts: Any) -> int:
-    """Load the parts' states if `path` belongs to these settings; return the number of finished epochs."""
-    if not path.is_file():
-        return 0
-    saved = torch.load(path, weights_only=True)
-    expected = asdict(settings) | {"threads": saved["settings"]["threads"]}
-    if saved["settings"] != expected or saved["frames"] != count:
+def _resume(path: Path, identity: dict[str, Any], parts: tuple[Any, ...]) -> int:
+    """Load the parts' states if `path` belongs to this training; return the number of finished epochs."""
+    saved = torch.load(path, weights_only=True) if path.is_file() else {}
+    if saved.get("identity") != identity:
         return 0
     for part, state in zip(parts, saved["state"], strict=True):
         part.load_state_dict(state)
     return int(saved["epoch"])
 
 
-def probabilities(net: SmallNet, frame: NDArray[np.uint8], background: NDArray[np.uint8], known: bool) -> Tensor:
-    """Return contact probabilities (N, 160, 120) of images at network resolution, (N, 160, 120, 3) uint8."""
-    net.eval()
-    with torch.no_grad():
-        flags = torch.full((len(frame),), float(known))
-        logits = net(torch.from_numpy(frame.copy()), torch.from_numpy(background.copy()), flags)
-    return torch.sigmoid(logits)[:, 0]
-
-
-def rendered_scores(net: SmallNet, frames: TrainingFrames, threshold: float) -> tuple[float, float, float]:
+def scores(net: SmallNet, frames: TrainingFrames, threshold: float) -> tuple[float, float, float]:
     """Return mean Dice and IoU over frames with contact, and the share of false contacts over those without."""
+    net.eval()
     overlaps: list[tuple[float, float]] = []
     false_contacts: list[bool] = []
     for start in range(0, len(frames), 50):
-        part = slice(start, start + 50)
-        masks = probabilities(net, frames.frame[part], frames.background[part], True).numpy() > threshold
-        for mask, truth in zip(masks, frames.label[part] > 127, strict=True):
+        some = frames.part(slice(start, start + 50))
+        with torch.no_grad():
+            logits = net(*(torch.from_numpy(one.copy()) for one in (some.frame, some.background, some.known)))
+        masks = torch.sigmoid(logits)[:, 0].numpy() > threshold
+        for mask, truth in zip(masks, some.label > 127, strict=True):
             if truth.any():
                 overlaps.append((dice(mask, truth), iou(mask, truth)))
             else:
                 false_contacts.append(int(mask.sum()) > FALSE_CONTACT_PX)
     means = np.mean(overlaps, 0) if overlaps else (float("nan"), float("nan"))
     return float(means[0]), float(means[1]), float(np.mean(false_contacts)) if false_contacts else 0.0
-
-
-def frame_iou(
-    net: SmallNet,
-    image: NDArray[np.uint8],
-    background: NDArray[np.uint8] | None,
-    mask: NDArray[np.bool_],
-    threshold: float,
-    size: tuple[int, int] = (INPUT_WIDTH_PX, INPUT_HEIGHT_PX),
-) -> float:
-    """Return the IoU of a frame's segmented contact with its label, at the label's size.
-
-    Without a background image it is estimated from the frame. size: (width, height) of the network's input.
-    """
-    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    if background is None:
-        shown = estimate_background(small)
-    else:
-        shown = np.asarray(cv2.resize(background, size, interpolation=cv2.INTER_AREA), np.uint8)
-    probability = probabilities(net, small[None], shown[None], background is not None)[0].numpy()
-    return iou(np.asarray(cv2.resize(probability, mask.shape[::-1]) > threshold), mask)

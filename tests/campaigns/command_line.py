@@ -118,24 +118,6 @@ def make_timing_network(path: Annotated[Path, typer.Argument(help="The .onnx fil
 
 
 @app.command()
-def bench_table(
-    page: Annotated[Path, typer.Argument(help="Markdown file in which the table between the markers is updated.")],
-    models: Annotated[Path, typer.Option(help="Folder of networks to compare.")] = Path("models"),
-    quick: Annotated[bool, typer.Option("--quick/--full", help="One grasp of each object.")] = False,
-) -> None:
-    """Measure every network with every estimator by `slipguard bench`, and write the table of the model card.
-
-    Example: `python -m tests.campaigns bench-table models/README.md`
-    """
-    from slipguard.bench.run import BenchOptions, bench
-    from tests.campaigns.bench_table import markdown, split_at_markers, write_into
-
-    split_at_markers(page)
-    found = bench(BenchOptions(quick, models=models))
-    write_into(page, markdown(found, f"python -m tests.campaigns bench-table {page}"))
-
-
-@app.command()
 def rotated_presses(
     folder: Annotated[Path, typer.Argument(help="Folder with taxim_sphere/ and anytouch2_force2/.")],
     part: Annotated[str, typer.Option(help="Presses to rotate: tune, test or all.")] = "test",

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets.dataset_files import data_set_pairs
-from slipguard.datasets.frame_cache import VALIDATION_SEED
 from slipguard.datasets.samples import UNIT_FRAMES, press_of
 from slipguard.errors import InputError
 from slipguard.sim.contact_label import LABEL_NAME, label
@@ -28,6 +27,7 @@ OBJECTS = (
     "cross", "egg", "gear", "hammer", "nut", "pen", "rod", "spring",
 )  # fmt: skip
 """Sixteen training objects, closest to the household objects of the paper; frames cycle through them."""
+HELD_OUT_SEED = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +74,7 @@ def render_masked_frames(
     mask = _array(folder / "mask.npy", ready > 0, (count, height, width))
     progress(ready)
     blocks = [range(at, min(at + UNIT_FRAMES, count)) for at in range(ready, count, UNIT_FRAMES)]
-    first_seed = VALIDATION_SEED if held_out else 0
+    first_seed = HELD_OUT_SEED if held_out else 0
     draw = partial(_render_block, first_seed=first_seed, size_px=size_px)
     for block, (images, masks) in zip(blocks, each(draw, blocks, workers, named=_block_name), strict=True):
         frame[block.start : block.stop], mask[block.start : block.stop] = images, masks

@@ -33,9 +33,8 @@ from slipguard.bench.thinning_times import compare_thinning
 from slipguard.datasets.mask_scores import dice
 from slipguard.datasets.rendered_grasps import EMPTY_FRAMES, ROTATION_DEG, RenderedGrasp, render_grasp
 from slipguard.devices import Frame
-from slipguard.errors import InputError, ModelError
+from slipguard.errors import ModelError
 from slipguard.perception.segmenter import default_model_path
-from tests.campaigns import bench_table
 
 KEYS = [
     "name", "network", "estimator", "p50_ms", "p99_ms", "skipped_p50_ms", "turn_error_mean_deg",
@@ -117,23 +116,6 @@ def test_times_are_compared_with_the_first_network_of_a_size_on_its_fastest_numb
     text = " ".join(tables.notes(bench))
     assert "90.00 ms on 2 threads, its fastest number (arbitrary weights, time only)" in text
     assert "60.00 ms on one thread, its fastest number (trained weights)" in text
-
-
-def test_a_table_is_written_between_the_markers_only(tmp_path: Path) -> None:
-    page = tmp_path / "README.md"
-    page.write_text(f"before\n{bench_table.BEGIN}\nold\n{bench_table.END}\nafter\n")
-    bench_table.write_into(page, bench_table.markdown(found(), "slipguard bench --full"))
-    text = page.read_text()
-    assert text.startswith("before\n")
-    assert text.endswith("after\n")
-    assert "old" not in text
-    assert "net + registration (default)" in text
-    for content in ("no markers", f"{bench_table.BEGIN} {bench_table.BEGIN} {bench_table.END}"):
-        page.write_text(content)
-        with pytest.raises(InputError, match="once each"):
-            bench_table.split_at_markers(page)
-    with pytest.raises(InputError, match="cannot read"):
-        bench_table.split_at_markers(tmp_path / "none.md")
 
 
 def test_no_row_beats_a_row_of_the_pareto_front_in_time_and_error() -> None:

@@ -21,14 +21,16 @@ from slipguard.daemon.store.state_dir import StateDir
 from slipguard.datasets import recorder as dataset_record
 from slipguard.datasets.recorder import (
     SensorImage,
-    from_daemon,
-    from_sensors,
+    daemon_reader,
+    images_of,
     opened,
     propose_mask,
     record_dataset,
+    sensor_reader,
 )
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import CommandRefused, DeviceLost
+from slipguard.perception.segmenter import Segmenter
 from slipguard.sim.contact_label import label
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView
@@ -45,14 +47,14 @@ def overlap(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> float:
 def test_the_proposed_mask_is_a_useful_start(name: str) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     truth = camera.draw_with_truth(GelView(name, angle_deg=40.0, depth_mm=0.6))
-    assert overlap(propose_mask(truth.image, camera.no_contact()), label(truth)) > 0.5
+    assert overlap(propose_mask(Segmenter(), truth.image, camera.no_contact()), label(truth)) > 0.85
 
 
 @pytest.mark.parametrize("light", [LightChange(), LightChange(offset_bgr=(6.0, -5.0, 4.0), tilt_bgr=(5.0, -4.0, 6.0))])
 def test_an_untouched_gel_has_no_proposal_under_any_light_change(light: LightChange) -> None:
     camera = GelCamera(random_unit(np.random.default_rng(3)), seed=1)
     camera.set_light(light)
-    assert not propose_mask(camera.draw(GelView("bar")), camera.no_contact()).any()
+    assert not propose_mask(Segmenter(), camera.draw(GelView("bar")), camera.no_contact()).any()
 
 
 async def two_shots() -> AsyncIterator[SensorImage]:
@@ -84,7 +86,7 @@ async def test_a_daemon_is_asked_finger_by_finger(tmp_path: Path) -> None:
     daemon = FakeDaemonApi()
     async with served(daemon, tmp_path / "s") as path:
         with Client(path) as client:
-            shots = from_daemon(client, ["left", "right"], 0.0)
+            shots = images_of([daemon_reader(client, finger) for finger in ("left", "right")], 0.0)
             seen = [await anext(shots) for _ in range(4)]
             await shots.aclose()
     assert [one.serial for one in seen] == ["D20001", "D20002"] * 2
@@ -97,13 +99,13 @@ async def test_a_finger_that_stays_away_ends_it(tmp_path: Path, monkeypatch: pyt
     daemon.failure = CommandRefused("no frame of the left finger: unplugged")
     async with served(daemon, tmp_path / "s") as path:
         with Client(path) as client, pytest.raises(CommandRefused, match="unplugged"):
-            await anext(from_daemon(client, ["left"], 0.01))
+            await anext(images_of([daemon_reader(client, "left")], 0.01))
 
 
 async def test_without_a_daemon_the_sensor_is_opened_and_closed() -> None:
     sensor = DigitSensor(DigitSensor.Settings(serial="D20001"), DriverContext("sensor"), found, PipeCapture)
     async with opened([sensor]):
-        shots = from_sensors([sensor], 0.0)
+        shots = images_of([sensor_reader(sensor)], 0.0)
         waiting = asyncio.ensure_future(anext(shots))
         await wait_until(None, lambda: sensor.mode is not None, 30.0, "it is not opened")
         PipeCapture.last.offer(delivery(1, damage="torn"), delivery(2))

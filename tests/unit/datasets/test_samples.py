@@ -209,5 +209,5 @@ def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path: Path) -> None:
     writer._manifest.close()
     writer._manifest = open("/dev/full", "w", encoding="utf-8")  # noqa: SIM115 - the writer closes it
     with pytest.raises(InputError, match="No space left on device"), writer:
-        writer.add({"file": "0.png"}, {"images": b"png"})
+        writer.add({}, np.zeros((320, 240), np.uint8), {"images": b"png"})
     assert list((tmp_path / "set").iterdir()) == []
