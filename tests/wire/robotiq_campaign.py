@@ -12,7 +12,7 @@ import random
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from contextvars import ContextVar
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from slipguard.devices import DriverContext, GripperState
@@ -20,7 +20,7 @@ from slipguard.emulator import Event
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
 from slipguard_drivers.robotiq.registers import MODEL_2F85, MODEL_HAND_E, RobotiqCommand, RobotiqModel, encode
-from slipguard_emulators.robotiq.emulator import FAULTS, RobotiqEmulator
+from slipguard_emulators.robotiq.emulator import RobotiqEmulator
 from slipguard_emulators.robotiq.jaws import JawsState, SimpleJaws
 from slipguard_emulators.robotiq.registers import ActivationStage, GripperFigures
 
@@ -28,6 +28,8 @@ PROBABILITY = 0.01
 """Of each kind of fault, at each request."""
 STEP_MM, STEP_N = 0.38, 0.85
 """One count of the position and of the force register."""
+COPY_S = 0.04
+"""Age of the URCap's copy: two refreshes."""
 TICK_S, STALL_S = 0.005, 0.02
 """A loop that comes later than this was kept from running by the machine."""
 APPROACH = 0.9
@@ -83,14 +85,15 @@ class Outcome:
 class Lane:
     """One gripper on one line, with its own driver and its own chance."""
 
-    def __init__(self, folder: Path, seed: int, outcome: Outcome, model: RobotiqModel) -> None:
+    def __init__(self, folder: Path, seed: int, outcome: Outcome, model: RobotiqModel, wiring: str) -> None:
         self.outcome = outcome
         self.model = model
         self.rng = random.Random(seed)
-        options = {"link": folder / f"tty{seed}", "seed": seed, "quick": 5.0, "outage_ms": 200.0, "activated": True}
-        options["model"] = model.name
+        options = {"seed": seed, "quick": 5.0, "outage_ms": 200.0, "activated": True, "model": model.name}
+        options |= {"link": folder / f"tty{seed}"} if wiring == "usb" else {"tcp_port": 0, "wiring": wiring}
+        self.through_copy = wiring == "urcap"
+        """Whether statuses and commands pass through the URCap's copy."""
         self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate(options), self._on_event)
-        self.gripper = self._driver()
         self.truths: list[Truth] = []
         self.asked: tuple[bool, list[str]] = (False, [])
         """What the driver wrote last, and whether a release did; no write is sent before the last one is done with."""
@@ -99,9 +102,8 @@ class Lane:
         self._watch_answers()
 
     def _driver(self) -> RobotiqGripper:
-        port, model = str(self.emulator.settings.link), self.emulator.settings.model
-        settings = RobotiqGripper.Settings(port=port, model=model, approach_speed=APPROACH)
-        gripper = RobotiqGripper(settings, DriverContext("gripper"))
+        keys = {"model": self.model.name, "approach_speed": APPROACH, **self.emulator.driver_settings}
+        gripper = RobotiqGripper(RobotiqGripper.Settings.model_validate(keys), DriverContext("gripper"))
         write = gripper._transport.write_command
 
         async def noted(command: RobotiqCommand, by_s: float) -> None:
@@ -130,7 +132,8 @@ class Lane:
         if event["event"] == "fault":
             self.outcome.occurred[str(event["kind"])] += 1
         if event["event"] == "write":
-            self.by_release = self.asked == (True, event["registers"])
+            by_release, words = self.asked
+            self.by_release = by_release and (self.through_copy or words == event["registers"])
         opens = event["event"] in OPENINGS and event.get("held", True)
         activating = event["event"] == "released" and self.emulator.registers.stage is not ActivationStage.READY
         if opens and not self.by_release and not activating:
@@ -139,10 +142,11 @@ class Lane:
     async def run(self, commands: int) -> None:
         """Do a number of commands; the line is quiet again afterwards."""
         await self.emulator.start()
+        self.gripper = self._driver()
         self._jaws.object_mm = 41.2
         await self._open_again()
-        for name in FAULTS:
-            self.emulator.faults.set(name, PROBABILITY)
+        for name in self.emulator.faults.kinds:
+            self.emulator.faults.set(name, PROBABILITY / (4 if self.through_copy else 1))
         for _ in range(commands):
             self.outcome.commands += 1
             (name,) = self.rng.choices(list(MIX), list(MIX.values()))
@@ -203,11 +207,14 @@ class Lane:
 
     async def _state(self) -> None:
         began_s = asyncio.get_running_loop().time()
-        self.truths.clear()
+        self.truths = self.truths[-4:]
         state = await self._call(self.gripper.state)
         if isinstance(state, GripperState):
             self.outcome.states += 1
             said = [truth for truth in self.truths if truth.at_s >= began_s]
+            if self.through_copy:  # of up to one refresh ago, and the position may be older than the rest
+                said = [truth for truth in self.truths if truth.at_s >= began_s - COPY_S]
+                said = [replace(new, width_mm=old.width_mm) for new in said for old in said]
             if not any(agree(state, truth) for truth in said):
                 self.outcome.wrong.append(f"{state} but {said}")
 
@@ -319,14 +326,14 @@ async def watch_stalls(outcome: Outcome) -> None:
         outcome.stalled_s = outcome.stalled_till(loop.time())
 
 
-async def campaign(folder: Path, commands: int, seed: int, lanes: int = 6) -> Outcome:
-    """A number of commands in all, on several lines at once."""
+async def campaign(folder: Path, commands: int, seed: int, wiring: str, lanes: int = 6) -> Outcome:
+    """A number of commands in all, on several grippers at once."""
     outcome = Outcome(due_s=asyncio.get_running_loop().time())
     each = -(-commands // lanes)
     stalls = asyncio.create_task(watch_stalls(outcome), name="stalls")
     async with asyncio.TaskGroup() as group:
         for lane in range(lanes):
-            one = Lane(folder, seed * 100 + lane, outcome, LANE_MODELS[lane % len(LANE_MODELS)])
+            one = Lane(folder, seed * 100 + lane, outcome, LANE_MODELS[lane % len(LANE_MODELS)], wiring)
             group.create_task(one.run(each), name=f"lane {lane}")
     stalls.cancel()
     await asyncio.wait([stalls])

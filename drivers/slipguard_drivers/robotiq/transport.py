@@ -19,6 +19,8 @@ from slipguard_drivers.robotiq.registers import RobotiqCommand, RobotiqStatus
 READS_AT_START = 8
 UNMEASURED_TIMEOUT_S = 0.25
 """Time-out of the first responses."""
+FIRST_TIMEOUTS = 8.0
+"""The first statuses may take this many time-outs: the line may have to be brought in step."""
 TIMEOUT_TRIPS = 4.0
 """A response may take this many usual round trips: jitter of a network and of the robot's controller."""
 DEAD_TIME_S = 0.04
@@ -87,16 +89,19 @@ class GripperTransport(ABC):
     async def measure(self) -> None:
         """Measure the round trip and set the time-out. Raises DeviceTimeout if the gripper does not respond at all."""
         loop = asyncio.get_running_loop()
-        self.timeout_s = max(self._timeout_min_s, UNMEASURED_TIMEOUT_S)
+        self.read_s, self.timeout_s = None, max(self._timeout_min_s, UNMEASURED_TIMEOUT_S)
+        await self.read_status(
+            loop.time() + FIRST_TIMEOUTS * self.timeout_s
+        )  # brings the line in step, which takes long
         times_s: list[float] = []
         for _ in range(READS_AT_START):
             begun_s = loop.time()
             try:
-                await self.read_status(begun_s + (self.requests_per_read + 2) * self.timeout_s)
+                await self.read_status(begun_s + FIRST_TIMEOUTS * self.timeout_s)
             except DeviceTimeout:
                 if not times_s:
                     raise
-            else:
-                times_s.append(loop.time() - begun_s)
-        self.read_s = statistics.median(times_s)
-        self.timeout_s = max(self._timeout_min_s, TIMEOUT_TRIPS * self.read_s / self.requests_per_read)
+                break
+            times_s.append(loop.time() - begun_s)
+            self.read_s = statistics.median(times_s)
+            self.timeout_s = max(self._timeout_min_s, TIMEOUT_TRIPS * self.read_s / self.requests_per_read)
