@@ -193,13 +193,13 @@ def blocks_of_readme() -> list[str]:
     return re.findall(r"```(?:python|toml|sh)\n(.*?)```", (ROOT / "drivers" / "README.md").read_text(), re.S)
 
 
-@pytest.mark.parametrize("path", [EXAMPLE / "pyproject.toml", *sorted(EXAMPLE.glob("example_drivers/[a-z]*.py"))])
-def test_the_drivers_readme_shows_these_very_files(path: Path) -> None:
-    assert path.read_text() in blocks_of_readme()
-    assert len(path.read_text().splitlines()) <= LINES_MAX
+@pytest.mark.parametrize("name", ["gripper", "text_link"])
+def test_the_drivers_readme_shows_this_very_driver(name: str) -> None:
+    text = (EXAMPLE / "example_drivers" / f"{name}.py").read_text()
+    assert text in blocks_of_readme()
+    assert len(text.splitlines()) <= LINES_MAX
 
 
-@pytest.mark.parametrize("name", ["GelCamera", "run_virtual"])
-def test_the_simulation_examples_of_the_readme_run(name: str) -> None:
-    (code,) = (block for block in blocks_of_readme() if f"{name}(" in block and "class " not in block)
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+def test_the_entry_point_of_the_readme_is_the_packages() -> None:
+    (shown,) = (block for block in blocks_of_readme() if block.startswith("[project.entry-points"))
+    assert shown in (EXAMPLE / "pyproject.toml").read_text()
