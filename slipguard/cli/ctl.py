@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,7 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import ValidationError
 
+from slipguard.cli.options import SocketOption, field_option, make_command, parameter
+from slipguard.config_errors import describe_validation_error
+from slipguard.daemon.api.requests import REQUESTS
 from slipguard.errors import InputError, SlipguardError
 
 if TYPE_CHECKING:
@@ -23,19 +28,7 @@ app = typer.Typer(
     "Example: `slipguard ctl state`, `slipguard ctl grasp`, `slipguard ctl lift`, `slipguard ctl release --yes`",
 )
 
-SocketOption = Annotated[
-    Path | None,
-    typer.Option("--socket", help="Unix socket of the daemon. Default: this user's daemon, then the system's."),
-]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the daemon's response as one JSON object.")]
-ForceOption = Annotated[float | None, typer.Option(help="Newtons per finger. Default: from the configuration.")]
-ForceLimitOption = Annotated[
-    float | None,
-    typer.Option(help="For a fragile object: newtons per finger that are never exceeded while it is held."),
-]
-HeightOption = Annotated[float | None, typer.Option(help="Millimeters. Default: from the configuration.")]
-SpeedOption = Annotated[float | None, typer.Option(help="Millimeters per second. Default: from the configuration.")]
-WidthOption = Annotated[float | None, typer.Option(help="Millimeters between the jaws.")]
 YesOption = Annotated[bool, typer.Option("--yes", "-y", help="Do not ask for confirmation.")]
 ACTIVATION_QUESTION = (
     "The jaws open and close fully, at full speed and force, and press the gels against each other. Take the gels off "
@@ -101,139 +94,6 @@ def state(context: typer.Context, socket: SocketOption = None, json: JsonOption 
 
 
 @app.command()
-def grasp(
-    context: typer.Context,
-    force_n: ForceOption = None,
-    force_limit_n: ForceLimitOption = None,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Close gently on the object between the jaws.
-
-    Example: `slipguard ctl grasp --force-n 30`, `slipguard ctl grasp --force-limit-n 45`
-    """
-    _submit(context, socket, json, "grasp", force_n=force_n, force_limit_n=force_limit_n)
-
-
-@app.command()
-def lift(
-    context: typer.Context,
-    height_mm: HeightOption = None,
-    speed_mm_s: SpeedOption = None,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Lift the held object; returns when the lift has begun.
-
-    Example: `slipguard ctl lift --height-mm 120`
-    """
-    _submit(context, socket, json, "lift", height_mm=height_mm, speed_mm_s=speed_mm_s)
-
-
-@app.command()
-def lower(
-    context: typer.Context,
-    height_mm: HeightOption = None,
-    speed_mm_s: SpeedOption = None,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Lower the held object, by default by the height it was lifted; returns when the motion has begun.
-
-    Example: `slipguard ctl lower`
-    """
-    _submit(context, socket, json, "lower", height_mm=height_mm, speed_mm_s=speed_mm_s)
-
-
-@app.command()
-def stop(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Stop the arm at once and keep the grip, in every state. Nothing moves until the next request.
-
-    A held object stays guarded: when it slips, the grip is tightened. Closing jaws are halted; a release goes on.
-
-    Example: `slipguard ctl stop`
-    """
-    _submit(context, socket, json, "stop")
-
-
-@app.command()
-def guard(
-    context: typer.Context,
-    switch: Annotated[OnOff, typer.Argument(help="on: tighten when the object slips. off: only report.")],
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Switch the guard on or off.
-
-    Example: `slipguard ctl guard on`
-    """
-    _submit(context, socket, json, "guard", on=switch is OnOff.on)
-
-
-@app.command()
-def gripper(
-    context: typer.Context,
-    width_mm: WidthOption = None,
-    force_n: ForceOption = None,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Move the jaws for another program. Never opens on a held object and never lowers its grip force.
-
-    Without --force-n, the force of the first grip is used. --width-mm may be omitted while an object is held. In lift
-    mode an object gripped this way is not guarded until `slipguard ctl guard on`.
-
-    Example: `slipguard ctl gripper --width-mm 60`
-    """
-    if width_mm is None and force_n is None:
-        raise InputError("gripper: nothing to do; give --width-mm, --force-n or both")
-    _submit(context, socket, json, "gripper", width_mm=width_mm, force_n=force_n)
-
-
-@app.command()
-def release(
-    context: typer.Context,
-    yes: YesOption = False,
-    width_mm: WidthOption = None,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Open the jaws, in every state, including faults; they never close. A held object drops: support it first.
-
-    A gripper that is not active, as after a loss of power, opens slowly and fully. It must then be activated.
-
-    Example: `slipguard ctl release --yes`
-    """
-    if not yes and not _confirm(RELEASE_QUESTION):
-        typer.echo("the jaws were not opened; with --yes the command does not ask", err=True)
-        raise typer.Exit(1)
-    _submit(context, socket, json, "release", confirm=True, width_mm=width_mm)
-
-
-@app.command()
-def activate(
-    context: typer.Context,
-    yes: YesOption = False,
-    force: Annotated[
-        bool, typer.Option("--force", help="Also if a finger sees contact: the gels are covered or taken off.")
-    ] = False,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Activate the gripper, as each time after it was switched on. Refused while an object may be held.
-
-    The jaws open and close fully, at full speed and force, and press the gels against each other: take the gels off
-    their sensors first, or tie something soft over each. Empty the jaws and keep your hands out.
-
-    Example: `slipguard ctl activate`, for programs `slipguard ctl activate --yes`
-    """
-    if not yes and not _confirm(ACTIVATION_QUESTION):
-        typer.echo("the gripper was not activated; `slipguard ctl activate --yes` does not ask", err=True)
-        raise typer.Exit(1)
-    _submit(context, socket, json, "activate", confirm=True, force=force)
-
-
-@app.command()
 def fingertips(
     context: typer.Context,
     yes: YesOption = False,
@@ -265,32 +125,6 @@ def fingertips(
     else:
         typer.echo(err=True)
         typer.echo(describe(touch_mm))
-
-
-@app.command()
-def clear(context: typer.Context, socket: SocketOption = None, json: JsonOption = False) -> None:
-    """Clear a latched fault whose cause is gone; a held object stays held.
-
-    Example: `slipguard ctl clear`
-    """
-    _submit(context, socket, json, "clear")
-
-
-@app.command()
-def calibrate(
-    context: typer.Context,
-    force: Annotated[bool, typer.Option("--force", help="Also if the stored image indicates contact.")] = False,
-    new_gel: Annotated[
-        bool, typer.Option("--new-gel", help="The gels were replaced: count wear from this image on.")
-    ] = False,
-    socket: SocketOption = None,
-    json: JsonOption = False,
-) -> None:
-    """Take and store the background image of each finger. The jaws must be open and empty.
-
-    Example: `slipguard ctl calibrate`, `slipguard ctl calibrate --new-gel`
-    """
-    _submit(context, socket, json, "calibrate", force=force, new_gel=new_gel)
 
 
 @app.command()
@@ -351,25 +185,56 @@ def _client(context: typer.Context, socket: Path | None) -> Iterator[Client]:
         yield client
 
 
-def _submit(context: typer.Context, socket: Path | None, json: bool, kind: str, **fields: object) -> None:
-    """Submit a request of `slipguard.daemon.api.requests` and print the response."""
-    from pydantic import ValidationError
+def _add_request(kind: str, example: str, question: str = "") -> None:
+    """Add the command of a request: its fields are the options, its docstring is the help.
 
-    from slipguard.config_errors import describe_validation_error
-    from slipguard.daemon.api.requests import REQUESTS
-
+    question: asked before a request that must be confirmed, unless `--yes` is given.
+    """
     model = REQUESTS[kind]
-    try:
-        request = model.model_validate(fields)
-    except ValidationError as invalid:
-        field, _, reason = describe_validation_error(invalid, model).partition(" = ")
-        raise typer.BadParameter(reason, ctx=context, param_hint=f"--{field.replace('_', '-')}") from None
-    with _client(context, socket) as client:
-        response = client.submit(request)
-    if json:
-        _print_json(response)
-    else:
-        typer.echo(response["message"])
+
+    def submit(context: typer.Context, socket: Path | None, json: bool, yes: bool = False, **fields: object) -> None:
+        if question and not (yes or _confirm(question)):
+            typer.echo(f"not done; `slipguard ctl {kind} --yes` does not ask", err=True)
+            raise typer.Exit(1)
+        if question:
+            fields["confirm"] = True
+        if "switch" in fields:
+            fields["on"] = fields.pop("switch") is OnOff.on
+        try:
+            request = model.model_validate(fields)
+        except ValidationError as invalid:
+            field, _, reason = describe_validation_error(invalid, model).partition(" = ")
+            raise typer.BadParameter(reason, ctx=context, param_hint=f"--{field.replace('_', '-')}") from None
+        with _client(context, socket) as client:
+            response = client.submit(request)
+        if json:
+            _print_json(response)
+        else:
+            typer.echo(response["message"])
+
+    parameters = [parameter("context", typer.Context)]
+    for name, field in model.model_fields.items():
+        if name == "on":
+            parameters.append(parameter("switch", Annotated[OnOff, typer.Argument(help=field.description)]))
+        elif name != "confirm":
+            parameters.append(field_option(name, field))
+    parameters += [parameter("yes", YesOption, False)] if question else []
+    parameters += [parameter("socket", SocketOption, None), parameter("json", JsonOption, False)]
+    app.command(kind)(
+        make_command(submit, f"{inspect.cleandoc(model.__doc__ or '')}\n\nExample: {example}", parameters)
+    )
+
+
+_add_request("grasp", "`slipguard ctl grasp --force-n 30`, `slipguard ctl grasp --force-limit-n 45`")
+_add_request("lift", "`slipguard ctl lift --height-mm 120`")
+_add_request("lower", "`slipguard ctl lower`")
+_add_request("stop", "`slipguard ctl stop`")
+_add_request("guard", "`slipguard ctl guard on`")
+_add_request("gripper", "`slipguard ctl gripper --width-mm 60`")
+_add_request("release", "`slipguard ctl release --yes`", RELEASE_QUESTION)
+_add_request("activate", "`slipguard ctl activate`, for programs `slipguard ctl activate --yes`", ACTIVATION_QUESTION)
+_add_request("clear", "`slipguard ctl clear`")
+_add_request("calibrate", "`slipguard ctl calibrate`, `slipguard ctl calibrate --new-gel`")
 
 
 def _print_json(response: dict[str, Any]) -> None:

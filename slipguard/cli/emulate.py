@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import inspect
-from collections.abc import Callable, MutableMapping
+from collections.abc import MutableMapping
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-if TYPE_CHECKING:
-    from pydantic import BaseModel
+from slipguard.cli.options import field_option, make_command, parameter
 
+if TYPE_CHECKING:
     from slipguard.registry import EmulatorKind
 
 FaultsOption = Annotated[
@@ -79,24 +78,8 @@ def _command(name: str, kind: EmulatorKind) -> Any:
         with default_interrupts():
             asyncio.run(run(name, lambda report: kind(settings, report), fault or [], json_lines=json))
 
-    parameters = [*_options(kind.Settings), _option("fault", FaultsOption, None), _option("json", JsonOption, False)]
-    command: Callable[..., None] = emulate
-    command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = {one.name: one.annotation for one in parameters}
-    command.__doc__ = kind.__doc__
+    fields = [field_option(one, field) for one, field in kind.Settings.model_fields.items()]
+    parameters = [*fields, parameter("fault", FaultsOption, None), parameter("json", JsonOption, False)]
     alone = typer.Typer(add_completion=False, rich_markup_mode="markdown")
-    alone.command(name)(command)
+    alone.command(name)(make_command(emulate, kind.__doc__, parameters))
     return typer.main.get_command(alone)
-
-
-def _options(settings: type[BaseModel]) -> list[inspect.Parameter]:
-    """Return one option per field; pydantic validates the values."""
-    parameters = []
-    for name, field in settings.model_fields.items():
-        kind = Annotated[field.annotation, typer.Option(help=field.description)]  # type: ignore[name-defined]
-        parameters.append(_option(name, kind, field.get_default(call_default_factory=True)))
-    return parameters
-
-
-def _option(name: str, kind: Any, default: object) -> inspect.Parameter:
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)

@@ -56,7 +56,6 @@ WRONG = {
     "measure . --plot nowhere/rotation.png": "the folder nowhere does not exist",
     "evaluate rotation . --intrinsics nowhere.json --plot nowhere/rotation.png": "the folder nowhere does not exist",
     "version --verbose": "--verbose",
-    "ctl gripper": "give --width-mm, --force-n or both",
     "calibrate --back-to 1 --finger middle": "--finger middle: choose left or right",
 }
 

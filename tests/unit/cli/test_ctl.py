@@ -89,7 +89,7 @@ async def test_a_release_needs_confirmation(daemon: FakeDaemonApi, tmp_path: Pat
     assert daemon.requests == []
     code, output = await ctl(daemon, tmp_path, "release", typed="")
     assert code == 1
-    assert "the jaws were not opened" in output
+    assert "not done" in output
     assert daemon.requests == []
     code, _ = await ctl(daemon, tmp_path, "release", typed="y\n")
     assert code == 0
@@ -102,7 +102,7 @@ async def test_an_activation_says_what_it_does_and_needs_confirmation(daemon: Fa
         assert (code, daemon.requests) == (1, [])
         assert "full speed and force" in output
         assert "Take the gels off" in output
-        assert "the gripper was not activated" in output
+        assert "not done" in output
     code, _ = await ctl(daemon, tmp_path, "activate", typed="y\n")
     assert (code, daemon.requests) == (0, [ActivateRequest(confirm=True)])
 
