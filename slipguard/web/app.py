@@ -9,17 +9,16 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import FastAPI, Path, Query, Request, Response, WebSocket
-from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from prometheus_client import CONTENT_TYPE_LATEST
 from starlette.exceptions import HTTPException
 
 from slipguard import __version__
-from slipguard.daemon.api import state as state_models
+from slipguard.daemon.api import state as models
 from slipguard.devices import FINGERS
 from slipguard.web.access import CONTROL_KEY, COOKIE, SESSION_HEADER
 from slipguard.web.commands import add_commands
-from slipguard.web.errors import error_response, error_responses, handle_http_exception, with_error_response
+from slipguard.web.errors import EXCEPTION_HANDLERS, error_response, error_responses
 from slipguard.web.images import EncodedImage
 from slipguard.web.metrics import prometheus_text
 from slipguard.web.page_routes import add_page
@@ -42,10 +41,11 @@ def make_app(context: RouteContext) -> FastAPI:
         telemetry={"tracing": False, "metrics": False, "logs": False, "auto_configure": False},
         docs_url=None,
         redoc_url=None,
-        exception_handlers={HTTPException: handle_http_exception, RequestValidationError: _bad_parameter},
+        exception_handlers=EXCEPTION_HANDLERS,
     )
     _add_state(app, context)
     _add_images(app, context)
+    _add_streams(app, context)
     add_page(app, context)
     add_commands(app, context)
     make_document = app.openapi
@@ -64,49 +64,58 @@ def make_app(context: RouteContext) -> FastAPI:
 
 
 def _add_state(app: FastAPI, context: RouteContext) -> None:
-    @app.get("/state", response_model=state_models.State, responses=error_responses())
+    @app.get("/state", response_model=models.State, responses=error_responses())
     async def state() -> Response:
         """Return the complete state, at most a tenth of a second old."""
+        return Response(await context.state.get(), media_type="application/json")
 
-        async def respond() -> Response:
-            return Response(await context.state.get(), media_type="application/json")
-
-        return await with_error_response("/state", respond())
-
-    @app.get("/healthz", response_model=state_models.HealthyResponse, responses=error_responses())
+    @app.get("/healthz", response_model=models.HealthyResponse, responses=error_responses())
     async def healthz() -> Response:
         """Return whether the daemon is healthy; 503 with the reason if it is not."""
-
-        async def respond() -> Response:
-            problem = await context.health_problem.get()
-            return JSONResponse({"status": "ok"}) if problem is None else error_response(503, problem)
-
-        return await with_error_response("/healthz", respond())
+        problem = await context.health_problem.get()
+        return JSONResponse({"status": "ok"}) if problem is None else error_response(503, problem)
 
     @app.get("/metrics", response_class=Response, responses=TEXT_RESPONSE | error_responses())
     async def metrics() -> Response:
         """Return state and counters in the format of Prometheus."""
+        text = prometheus_text(await context.state.get(), await context.counters.get())
+        return Response(text, media_type=CONTENT_TYPE_LATEST)
 
-        async def respond() -> Response:
-            text = prometheus_text(await context.state.get(), await context.counters.get())
-            return Response(text, media_type=CONTENT_TYPE_LATEST)
-
-        return await with_error_response("/metrics", respond())
-
-    @app.get("/background", response_model=dict[str, state_models.StoredBackgrounds], responses=error_responses())
+    @app.get("/background", response_model=dict[str, models.StoredBackgrounds], responses=error_responses())
     async def backgrounds() -> Response:
         """Return number, time, noise and brightness of all stored background images, by finger."""
+        return Response(await context.backgrounds.get(), media_type="application/json")
 
-        async def respond() -> Response:
-            return Response(await context.backgrounds.get(), media_type="application/json")
-
-        return await with_error_response("/background", respond())
-
-    @app.get("/access", response_model=state_models.AccessInfo, responses=error_responses())
+    @app.get("/access", response_model=models.AccessInfo, responses=error_responses())
     async def access(request: Request) -> Response:
         """Return whether this client may send commands."""
         return JSONResponse({"control": bool(request.scope.get(CONTROL_KEY, True))})
 
+
+def _add_images(app: FastAPI, context: RouteContext) -> None:
+    def responses(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
+        content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
+        return {200: {"description": description, "content": content}} | error_responses(404, 409, 422)
+
+    @app.get("/frame/{finger}", response_class=Response, responses=responses("image/png", "The unmodified frame."))
+    async def frame(finger: FingerName) -> Response:
+        """Return the newest frame as it was captured; serial number, frame number and capture time are in headers."""
+        return _image_response(await context.images.raw(_known(finger)), "image/png")
+
+    @app.get("/background/{finger}", response_class=Response, responses=responses("image/png", "The mean image."))
+    async def background(
+        finger: FingerName, number: Annotated[int | None, Query(ge=1, le=1_000_000)] = None
+    ) -> Response:
+        """Return a stored background image, by default the newest; its number is in the header x-sequence."""
+        return _image_response(await context.images.background(_known(finger), number), "image/png")
+
+    @app.get("/image/{finger}", response_class=Response, responses=responses("image/jpeg", "For display."))
+    async def overlay_image(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
+        """Return the newest processed frame, with contour, skeleton and axis of the contact drawn over it."""
+        return _image_response(await context.images.with_overlay(_known(finger), overlay == "1"), "image/jpeg")
+
+
+def _add_streams(app: FastAPI, context: RouteContext) -> None:
     @app.websocket("/live")
     async def live(socket: WebSocket) -> None:
         """Send `history`, then `state` ten times per second, and each `event` at once."""
@@ -126,44 +135,6 @@ def _add_state(app: FastAPI, context: RouteContext) -> None:
             await socket.send_denial_response(error_response(404, _no_finger(finger)))
 
 
-def _add_images(app: FastAPI, context: RouteContext) -> None:
-    def responses(media_type: str, description: str) -> dict[int | str, dict[str, Any]]:
-        content = {media_type: {"schema": {"type": "string", "format": "binary"}}}
-        return {200: {"description": description, "content": content}} | error_responses(404, 409, 422)
-
-    @app.get("/frame/{finger}", response_class=Response, responses=responses("image/png", "The unmodified frame."))
-    async def frame(finger: FingerName) -> Response:
-        """Return the newest frame as it was captured; serial number, frame number and capture time are in headers."""
-
-        async def respond() -> Response:
-            _check_finger(finger)
-            return _image_response(await context.images.raw(finger), "image/png")
-
-        return await with_error_response("/frame", respond())
-
-    @app.get("/background/{finger}", response_class=Response, responses=responses("image/png", "The mean image."))
-    async def background(
-        finger: FingerName, number: Annotated[int | None, Query(ge=1, le=1_000_000)] = None
-    ) -> Response:
-        """Return a stored background image, by default the newest; its number is in the header x-sequence."""
-
-        async def respond() -> Response:
-            _check_finger(finger)
-            return _image_response(await context.images.background(finger, number), "image/png")
-
-        return await with_error_response("/background", respond())
-
-    @app.get("/image/{finger}", response_class=Response, responses=responses("image/jpeg", "For display."))
-    async def overlay_image(finger: FingerName, overlay: Annotated[Literal["0", "1"], Query()] = "1") -> Response:
-        """Return the newest processed frame, with contour, skeleton and axis of the contact drawn over it."""
-
-        async def respond() -> Response:
-            _check_finger(finger)
-            return _image_response(await context.images.with_overlay(finger, overlay == "1"), "image/jpeg")
-
-        return await with_error_response("/image", respond())
-
-
 def _image_response(image: EncodedImage, media_type: str) -> Response:
     headers = {
         "x-serial": image.serial,
@@ -173,18 +144,11 @@ def _image_response(image: EncodedImage, media_type: str) -> Response:
     return Response(image.content, media_type=media_type, headers=headers)
 
 
-def _check_finger(finger: str) -> None:
+def _known(finger: str) -> str:
     if finger not in FINGERS:
         raise HTTPException(404, _no_finger(finger))
+    return finger
 
 
 def _no_finger(name: str) -> str:
     return f"no finger {name!r}; choose from: {', '.join(FINGERS)}"
-
-
-async def _bad_parameter(request: Request, raised: Exception) -> Response:
-    """Return in one line what is wrong with a parameter of the address."""
-    problems = raised.errors() if isinstance(raised, RequestValidationError) else []
-    problem = problems[0] if problems else {"loc": ("request",), "msg": "invalid"}
-    message = str(problem["msg"])
-    return error_response(422, f"{problem['loc'][-1]}: {message[:1].lower()}{message[1:]}")

@@ -14,7 +14,7 @@ from slipguard.daemon.api.requests import REQUESTS, CalibrateRequest, DaemonRequ
 from slipguard.daemon.api.state import CalibrationResponse, MessageResponse
 from slipguard.errors import CommandRefused
 from slipguard.web.connections import is_disconnected
-from slipguard.web.errors import error_response, error_responses, with_error_response
+from slipguard.web.errors import error_responses
 from slipguard.web.route_context import RouteContext
 
 BODY_MAX_BYTES = 4096
@@ -31,22 +31,19 @@ def add_commands(app: FastAPI, context: RouteContext) -> None:
 
 def _add_command(app: FastAPI, context: RouteContext, path: str, model: type[DaemonRequest]) -> None:
     async def endpoint(http_request: Request) -> Response:
-        async def respond() -> Response:
-            raw = await _read_body(http_request)
-            try:
-                request = model.model_validate_json(raw or b"{}")
-            except ValidationError as invalid:
-                if invalid.errors(include_url=False)[0]["type"] == "json_invalid":
-                    return error_response(400, "the body is not JSON")
-                return error_response(422, describe_validation_error(invalid, model))
-            if is_disconnected(http_request.scope):
-                raise CommandRefused(f"{path}: the client closed the connection; the request was not executed")
-            try:
-                return JSONResponse(dict(await context.daemon.submit(request)))
-            finally:
-                context.invalidate()
-
-        return await with_error_response(path, respond())
+        raw = await _read_body(http_request)
+        try:
+            request = model.model_validate_json(raw or b"{}")
+        except ValidationError as invalid:
+            if invalid.errors(include_url=False)[0]["type"] == "json_invalid":
+                raise HTTPException(400, "the body is not JSON") from None
+            raise HTTPException(422, describe_validation_error(invalid, model)) from None
+        if is_disconnected(http_request.scope):
+            raise CommandRefused(f"{path}: the client closed the connection; the request was not executed")
+        try:
+            return JSONResponse(dict(await context.daemon.submit(request)))
+        finally:
+            context.invalidate()
 
     body_schema = {"application/json": {"schema": model.model_json_schema()}}
     body_required = any(field.is_required() for field in model.model_fields.values())

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 from typing import Any
 
 import structlog
+from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -43,22 +44,29 @@ def error_response(status: int, text: str, headers: dict[str, str] | None = None
     return JSONResponse({"error": " ".join(text.split())}, status_code=status, headers=headers)
 
 
-async def with_error_response(path: str, response: Awaitable[Response]) -> Response:
-    """Return the response, or the error response for the exception it raises."""
-    try:
-        return await response
-    except CommandRefused as refused:
-        return error_response(409, str(refused))
-    except SlipguardError as failed:
-        return error_response(503, str(failed))
-    except HTTPException:
-        raise
-    except Exception as bug:
-        log.exception("a request failed", path=path)
-        return error_response(500, f"{path} failed inside the daemon ({type(bug).__name__}); see the daemon's log")
+async def _refused(request: Request, raised: Exception) -> Response:
+    return error_response(409, str(raised))
 
 
-async def handle_http_exception(request: Request, raised: Exception) -> Response:
+async def _failed(request: Request, raised: Exception) -> Response:
+    return error_response(503, str(raised))
+
+
+async def _bug(request: Request, raised: Exception) -> Response:
+    path = request.url.path
+    log.error("a request failed", path=path, exc_info=raised)
+    return error_response(500, f"{path} failed inside the daemon ({type(raised).__name__}); see the daemon's log")
+
+
+async def _bad_parameter(request: Request, raised: Exception) -> Response:
+    """Return in one line what is wrong with a parameter of the address."""
+    problems = raised.errors() if isinstance(raised, RequestValidationError) else []
+    problem = problems[0] if problems else {"loc": ("request",), "msg": "invalid"}
+    message = str(problem["msg"])
+    return error_response(422, f"{problem['loc'][-1]}: {message[:1].lower()}{message[1:]}")
+
+
+async def _http_exception(request: Request, raised: Exception) -> Response:
     """Return errors of the framework (unknown path, wrong method) in the same form."""
     status: Any = getattr(raised, "status_code", 500)
     detail = str(getattr(raised, "detail", ""))
@@ -76,3 +84,12 @@ def _methods(route: BaseRoute, scope: Scope) -> Iterable[str]:
     """Return the methods of a route if it matches this path; two routes may share a path."""
     matches = route.matches(dict(scope))[0] is not Match.NONE
     return (getattr(route, "methods", None) or ()) if matches else ()
+
+
+EXCEPTION_HANDLERS: dict[int | type[Exception], Callable[[Request, Exception], Coroutine[Any, Any, Response]]] = {
+    CommandRefused: _refused,
+    SlipguardError: _failed,
+    HTTPException: _http_exception,
+    RequestValidationError: _bad_parameter,
+    Exception: _bug,
+}

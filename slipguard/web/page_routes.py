@@ -13,7 +13,7 @@ from slipguard.daemon.api.state import PageLink
 from slipguard.errors import CommandRefused
 from slipguard.web.access import COOKIE, LINK_VALID_S
 from slipguard.web.commands import SECURITY
-from slipguard.web.errors import error_response, error_responses, with_error_response
+from slipguard.web.errors import error_response, error_responses
 from slipguard.web.route_context import RouteContext
 
 PAGE = Path(__file__).parent / "page"
@@ -50,10 +50,7 @@ def add_page(app: FastAPI, context: RouteContext) -> None:
     async def page_link() -> Response:
         """Make a link that gives the first browser that opens it control over the page."""
 
-        async def respond() -> Response:
-            if context.access is None:
-                raise CommandRefused("the page is not served; set api.listen, and check the daemon's log")
-            url = context.access.make_link()
-            return JSONResponse({"message": url, "url": url, "valid_s": LINK_VALID_S})
-
-        return await with_error_response("/page-link", respond())
+        if context.access is None:
+            raise CommandRefused("the page is not served; set api.listen, and check the daemon's log")
+        url = context.access.make_link()
+        return JSONResponse({"message": url, "url": url, "valid_s": LINK_VALID_S})

@@ -59,7 +59,10 @@ async def on_socket(daemon: FakeDaemonApi, folder: Path, ask: Callable[[Client],
 
 def in_memory(daemon: FakeDaemonApi) -> httpx.AsyncClient:
     """A client of the app without a socket."""
-    return httpx.AsyncClient(transport=httpx.ASGITransport(make_app(RouteContext(daemon))), base_url="http://slipguard")
+    return httpx.AsyncClient(
+        transport=httpx.ASGITransport(make_app(RouteContext(daemon)), raise_app_exceptions=False),
+        base_url="http://slipguard",
+    )
 
 
 REQUESTS: list[DaemonRequest] = [
