@@ -15,7 +15,7 @@ from __future__ import annotations
 import ipaddress
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -30,19 +30,21 @@ from pydantic import (
     model_validator,
 )
 
-from slipguard.config_errors import describe_unknown_key, describe_validation_error, error_at_key, format_value
+from slipguard.config_errors import describe_problems, describe_unknown_key, error_at_key, format_value
 from slipguard.control.params import GuardParams
 from slipguard.devices import FINGERS
 from slipguard.errors import ConfigError
 from slipguard.limited_read import read_limited
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.registry import load_driver
+from slipguard.registry import driver_names, load_driver
 
 
 class Section(BaseModel):
     """Base of all sections: frozen, no unknown keys, no infinities, no conversion of types."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, strict=True, use_attribute_docstrings=True
+    )
 
 
 ConfigPath = Annotated[Path, Strict(False)]
@@ -165,6 +167,7 @@ class LogSection(Section):
 
 
 CONFIG_MAX_BYTES = 2**20
+EMPTY = '""'
 DEPTH_MAX = 8
 """Tables in tables; a driver's settings are at most 3 deep."""
 PERIODS_PER_TIMEOUT = 2
@@ -268,86 +271,115 @@ def read_config(path: Path, *, sim: bool = False) -> Config:
 
 
 def parse_config(raw: Mapping[str, Any], *, where: str, sim: bool = False) -> Config:
-    """Return the checked configuration from the content of a file. where: names the file in errors."""
+    """Return the checked configuration from the content of a file. where: names the file in errors.
+
+    Raises ConfigError with every mistake that is found.
+    """
     if not isinstance(raw, Mapping):  # the last configuration, damaged
         raise ConfigError(f"{where}: must be a table")
-    _check_values(raw, where)
-    values = dict(raw)
-    # First, because a section with a typo in its name leaves another one incomplete.
-    unknown = [key for key in raw if key not in Config.model_fields]
-    if unknown:
-        shown = unknown[0] or '""'
-        raise ConfigError(f"{where}: {shown}: {describe_unknown_key(unknown[0], list(Config.model_fields))}")
+    problems = list(_value_problems(raw))
+    raise_problems(where, problems)
+    problems = [
+        f"{key or EMPTY}: {describe_unknown_key(key, list(Config.model_fields))}"
+        for key in raw
+        if key not in Config.model_fields
+    ]
+    values = {key: value for key, value in raw.items() if key in Config.model_fields}
+    wrong_devices = []
     for name in GROUP_OF:
-        values[name] = _with_driver(values.get(name, {}), name, where, sim)
-    _check_only_one(values, where)
+        try:
+            values[name] = _with_driver(values.get(name, {}), name, sim)
+        except _Mistakes as found:
+            problems += found.args[0]
+            wrong_devices.append(name)
+    if not wrong_devices:
+        problems += _only_one_problems(values)
     try:
-        return Config.model_validate(values)
+        config = Config.model_validate(values)
     except ValidationError as error:
-        raise ConfigError(f"{where}: {describe_validation_error(error, Config)}") from None
+        problems += [
+            text for place, text in describe_problems(error, Config) if not place or place[0] not in wrong_devices
+        ]
+    raise_problems(where, problems)
+    return config
 
 
-def _check_values(raw: Mapping[str, Any], where: str) -> None:
-    """Refuse what TOML can spell, but neither a model nor the operating system can take."""
+class _Mistakes(Exception):
+    """A list of the mistakes in one device's section."""
+
+
+def raise_problems(where: str, problems: Sequence[str]) -> None:
+    """Raise ConfigError with all mistakes of a file, one in a line; do nothing if there is none."""
+    if len(problems) == 1:
+        raise ConfigError(f"{where}: {problems[0]}")
+    if problems:
+        raise ConfigError("\n  ".join([f"{where}: {len(problems)} mistakes:", *problems]))
+
+
+def _value_problems(raw: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what TOML can spell, but neither a model nor the operating system can take."""
     waiting: list[tuple[str, Any, int]] = [(key, value, 1) for key, value in raw.items()]
     while waiting:
         key, value, depth = waiting.pop()
-        problem = None
         if "\0" in key or (isinstance(value, str) and "\0" in value):
-            problem = "contains a NUL character; write it without"
+            yield f"{key!r}: contains a NUL character; write it without"
         elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-            problem = "an integer must be from -2^63 to 2^63 - 1"
+            yield f"{key!r}: an integer must be from -2^63 to 2^63 - 1"
         elif isinstance(value, Mapping | list) and depth >= DEPTH_MAX:
-            problem = f"more than {DEPTH_MAX} tables or arrays inside each other"
-        if problem is not None:
-            raise ConfigError(f"{where}: {key!r}: {problem}")
+            yield f"{key!r}: more than {DEPTH_MAX} tables or arrays inside each other"
+            continue
         inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list) else ()
         waiting += [(f"{key}.{name}", one, depth + 1) for name, one in inner]
 
 
-def _check_only_one(devices: Mapping[str, Any], where: str) -> None:
-    """Check that no two devices share a value of a key in `only_one` of their drivers' `Settings`."""
+def _only_one_problems(devices: Mapping[str, Any]) -> Iterator[str]:
+    """Yield values that two devices share, of keys in `only_one` of their drivers' `Settings`."""
     users: dict[tuple[str, object], str] = {}
     for name in GROUP_OF:
         driver, settings = devices[name]["driver"], devices[name]["settings"]
         for key in getattr(settings, "only_one", ()):
-            value = getattr(settings, key)
-            user = users.setdefault((key, value), f"{name}.{driver}.{key}")
-            if user != f"{name}.{driver}.{key}":
-                raise ConfigError(
-                    f"{where}: {name}.{driver}.{key} = {format_value(value)}: "
-                    f"already used by {user}; the values must differ"
-                )
+            value, place = getattr(settings, key), f"{name}.{driver}.{key}"
+            user = users.setdefault((key, value), place)
+            if user != place:
+                yield f"{place} = {format_value(value)}: already used by {user}; the values must differ"
 
 
-def _with_driver(section: Any, name: str, where: str, sim: bool) -> dict[str, Any]:
-    """Return the section with the driver's checked table under `settings`."""
+def _with_driver(section: Any, name: str, sim: bool) -> dict[str, Any]:
+    """Return the section with the driver's checked table under `settings`. Raises _Mistakes."""
     if not isinstance(section, Mapping):
-        raise ConfigError(f"{where}: {name} = {format_value(section)}: must be a table, [{name}]")
+        raise _Mistakes([f"{name} = {format_value(section)}: must be a table, [{name}]"])
     named = section.get("driver", DEFAULT_DRIVER[name])
     if not isinstance(named, str):
-        raise ConfigError(
-            f'{where}: {name}.driver = {format_value(named)}: must be the name of a driver, such as "digit"'
-        )
-    if "settings" in section:
-        raise ConfigError(f"{where}: {name}.settings: no such key; the driver's table is [{name}.{named}]")
+        raise _Mistakes([f'{name}.driver = {format_value(named)}: must be the name of a driver, such as "digit"'])
     chosen = "fake" if sim else named
     try:
         driver = load_driver(GROUP_OF[name], chosen)
     except ConfigError as error:
-        raise ConfigError(f"{where}: {name}.driver = {chosen!r}: {error}") from None
+        raise _Mistakes([f"{name}.driver = {chosen!r}: {error}"]) from None
     known = [key for key in _SECTIONS[name].model_fields if key != "settings"]
-    for key in section:
-        if key not in (named, *known) and not (sim and key == "fake"):
-            raise ConfigError(f"{where}: {name}.{key}: {describe_unknown_key(key, [*known, named])}")
+    problems = [
+        f"{name}.{key}: {_describe_key(key, [*known, named], name, named)}"
+        for key in section
+        if key not in (named, *known) and not (sim and key == "fake")
+    ]
     try:
         # As JSON, in which strict models still accept a string as a path and an array as a tuple.
         settings = driver.Settings.model_validate_json(json.dumps(section.get(chosen, {}), default=str), strict=True)
     except ValidationError as error:
-        message = describe_validation_error(error, driver.Settings, under=f"{name}.{chosen}")
-        raise ConfigError(f"{where}: {message}") from None
+        problems += [text for _, text in describe_problems(error, driver.Settings, under=f"{name}.{chosen}")]
+    if problems:
+        raise _Mistakes(problems)
     rest = {key: value for key, value in section.items() if key not in (named, chosen)}
     return rest | {"driver": chosen, "settings": settings}
+
+
+def _describe_key(key: str, known: list[str], name: str, driver: str) -> str:
+    """Return what to do about an unknown key of a device: it may be the table of another driver."""
+    if key == "settings":
+        return f"no such key; the driver's table is [{name}.{driver}]"
+    if key in driver_names(GROUP_OF[name]):
+        return f"the table of another driver than {driver!r}; delete it, or set {name}.driver = {key!r}"
+    return describe_unknown_key(key, known)
 
 
 def file_content(config: Config) -> dict[str, Any]:

@@ -18,8 +18,10 @@ _SHORT_BELOW = 1e5
 """A whole number below this is shown without a fraction."""
 
 
-def describe_validation_error(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> str:
-    """Return the likeliest cause of a validation error and the number of further problems, in one line.
+def describe_problems(
+    error: ValidationError, model: type[BaseModel] | None = None, *, under: str = ""
+) -> list[tuple[tuple[int | str, ...], str]]:
+    """Return the place and the description, in one line, of each problem of a validation error.
 
     An unknown key comes first: a key with a typo leaves another one missing or at its default.
 
@@ -30,8 +32,13 @@ def describe_validation_error(error: ValidationError, model: type[BaseModel] | N
     """
     problems = [problem for problem in error.errors(include_url=False) if problem["type"] != _FOLLOWS]
     problems.sort(key=lambda problem: problem["type"] != _UNKNOWN_KEY)
-    more = f" ({len(problems) - 1} more after this one)" if len(problems) > 1 else ""
-    return _describe_problem(problems[0], model, under) + more
+    return [(problem["loc"], _describe_problem(problem, model, under)) for problem in problems]
+
+
+def describe_validation_error(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> str:
+    """Return the likeliest cause of a validation error and the number of further problems, in one line."""
+    (_, first), *others = describe_problems(error, model, under=under)
+    return first + (f" ({len(others)} more after this one)" if others else "")
 
 
 def error_at_key(key: str, given: object, allowed: str) -> PydanticCustomError:

@@ -12,6 +12,7 @@ import typer
 from slipguard.cli import (
     bench,
     calibrate,
+    check,
     ctl,
     dataset,
     doctor,
@@ -37,7 +38,7 @@ UsageError: type[Exception] = typer.BadParameter.__mro__[2]
 
 app = typer.Typer(name="slipguard", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="markdown")
 app.command(rich_help_panel=ROBOT)(daemon.run)
-app.command(rich_help_panel=ROBOT)(daemon.check)
+app.command(rich_help_panel=ROBOT)(check.check)
 app.command(rich_help_panel=ROBOT)(doctor.doctor)
 app.command(rich_help_panel=ROBOT)(install.install)
 app.command(rich_help_panel=ROBOT)(calibrate.calibrate)
@@ -104,6 +105,7 @@ def run(arguments: list[str] | None = None, app: typer.Typer = app, program: str
     """
     code, error = _run(arguments, app, program)
     line = " ".join(error.split())
+    shown = error if sys.stderr is not None and sys.stderr.isatty() else line  # several mistakes: one in a line
     if line and "--json" in (sys.argv[1:] if arguments is None else arguments):
         print(jsonlib.dumps({"error": line}), flush=True)
     if line:
@@ -111,7 +113,7 @@ def run(arguments: list[str] | None = None, app: typer.Typer = app, program: str
 
         # The journal reads a priority at the start of a line (sd-daemon(3)); 3 is "error".
         priority = "<3>" if stderr_is_journal() else ""
-        print(f"{priority}slipguard: {line}", file=sys.stderr)
+        print(f"{priority}slipguard: {shown}", file=sys.stderr)
     return code
 
 

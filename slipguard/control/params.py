@@ -33,7 +33,9 @@ def _no_estimate_force_n(given: dict[str, Any]) -> float:
 class _Table(BaseModel):
     """Frozen; unknown keys are refused. Forces are per finger, angles in degrees, times in seconds."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, strict=True, use_attribute_docstrings=True
+    )
 
 
 class GuardTuning(_Table):

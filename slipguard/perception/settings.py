@@ -13,7 +13,9 @@ EstimatorName = Literal["registration", "moments", "ellipse", "pca", "skeleton"]
 class PerceptionSettings(BaseModel):
     """Frozen, unknown keys refused. Areas are in frame pixels (240 x 320), angles in degrees."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, strict=True, use_attribute_docstrings=True
+    )
 
     model: Annotated[Path, Strict(False)] | None = None
     """Segmentation network (.onnx); None: the one shipped."""
