@@ -18,10 +18,8 @@ _SHORT_BELOW = 1e5
 """A whole number below this is shown without a fraction."""
 
 
-def describe_problems(
-    error: ValidationError, model: type[BaseModel] | None = None, *, under: str = ""
-) -> list[tuple[tuple[int | str, ...], str]]:
-    """Return the place and the description, in one line, of each problem of a validation error.
+def describe_problems(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> list[str]:
+    """Return a description, in one line, of each problem of a validation error.
 
     An unknown key comes first: a key with a typo leaves another one missing or at its default.
 
@@ -32,12 +30,12 @@ def describe_problems(
     """
     problems = [problem for problem in error.errors(include_url=False) if problem["type"] != _FOLLOWS]
     problems.sort(key=lambda problem: problem["type"] != _UNKNOWN_KEY)
-    return [(problem["loc"], _describe_problem(problem, model, under)) for problem in problems]
+    return [_describe_problem(problem, model, under) for problem in problems]
 
 
 def describe_validation_error(error: ValidationError, model: type[BaseModel] | None = None, *, under: str = "") -> str:
     """Return the likeliest cause of a validation error and the number of further problems, in one line."""
-    (_, first), *others = describe_problems(error, model, under=under)
+    first, *others = describe_problems(error, model, under=under)
     return first + (f" ({len(others)} more after this one)" if others else "")
 
 

@@ -220,21 +220,21 @@ def _add_request(kind: str, example: str, question: str = "") -> None:
             parameters.append(field_option(name, field))
     parameters += [parameter("yes", YesOption, False)] if question else []
     parameters += [parameter("socket", SocketOption, None), parameter("json", JsonOption, False)]
-    app.command(kind)(
-        make_command(submit, f"{inspect.cleandoc(model.__doc__ or '')}\n\nExample: {example}", parameters)
-    )
+    app.command(kind)(make_command(submit, f"{inspect.cleandoc(model.__doc__ or '')}\n\n{example}", parameters))
 
 
-_add_request("grasp", "`slipguard ctl grasp --force-n 30`, `slipguard ctl grasp --force-limit-n 45`")
-_add_request("lift", "`slipguard ctl lift --height-mm 120`")
-_add_request("lower", "`slipguard ctl lower`")
-_add_request("stop", "`slipguard ctl stop`")
-_add_request("guard", "`slipguard ctl guard on`")
-_add_request("gripper", "`slipguard ctl gripper --width-mm 60`")
-_add_request("release", "`slipguard ctl release --yes`", RELEASE_QUESTION)
-_add_request("activate", "`slipguard ctl activate`, for programs `slipguard ctl activate --yes`", ACTIVATION_QUESTION)
-_add_request("clear", "`slipguard ctl clear`")
-_add_request("calibrate", "`slipguard ctl calibrate`, `slipguard ctl calibrate --new-gel`")
+_add_request("grasp", "Example: `slipguard ctl grasp --force-n 30`, `slipguard ctl grasp --force-limit-n 45`")
+_add_request("lift", "Example: `slipguard ctl lift --height-mm 120`")
+_add_request("lower", "Example: `slipguard ctl lower`")
+_add_request("stop", "Example: `slipguard ctl stop`")
+_add_request("guard", "Example: `slipguard ctl guard on`")
+_add_request("gripper", "Example: `slipguard ctl gripper --width-mm 60`")
+_add_request("release", "Example: `slipguard ctl release --yes`", RELEASE_QUESTION)
+_add_request(
+    "activate", "Example: `slipguard ctl activate`, for programs `slipguard ctl activate --yes`", ACTIVATION_QUESTION
+)
+_add_request("clear", "Example: `slipguard ctl clear`")
+_add_request("calibrate", "Example: `slipguard ctl calibrate`, `slipguard ctl calibrate --new-gel`")
 
 
 def _print_json(response: dict[str, Any]) -> None:

@@ -18,14 +18,14 @@ class PerceptionSettings(BaseModel):
     )
 
     model: Annotated[Path, Strict(False)] | None = None
-    """Segmentation network (.onnx); None: the one shipped."""
+    """Segmentation network (.onnx). Default: the one shipped."""
     estimator: EstimatorName = "registration"
     """How the rotation is estimated: registration to the reference, or the axis of the mask by one of four estimators,
     for comparison."""
     reference: Literal["stable", "first"] = "stable"
     """The reference is the first frame of a stable contact area, at most 0.1 s late, or the first with contact."""
     threshold: Annotated[float, Field(gt=0.0, lt=1.0)] | None = None
-    """Probability above which a pixel is contact; None: the threshold stored in the network file."""
+    """Probability above which a pixel is contact. Default: the threshold stored in the network file."""
     min_area_px: Annotated[int, Field(ge=20, le=20_000)] = 200
     """Smaller regions are ignored: 200 px is about 0.6 mm2."""
     round_aspect: Annotated[float, Field(ge=1.0, le=2.0)] = 1.15

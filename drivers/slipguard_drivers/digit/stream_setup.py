@@ -27,16 +27,21 @@ def _serial(text: str) -> str:
 
 
 class DigitSettings(BaseModel):
-    """serial: as printed on the sensor, D and five digits. pixels: "auto" prefers YUYV."""
+    """Settings of a DIGIT."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
 
     only_one: ClassVar = ("serial",)
     serial: Annotated[str, AfterValidator(_serial)]
+    """As printed on the sensor: D and five digits."""
     fps: Literal[30, 60] = 60
+    """Frame rate."""
     pixels: Literal["auto", "YUYV", "MJPG"] = "auto"
+    """Pixel format: YUYV if it reaches the frame rate ("auto"); MJPG needs less USB bandwidth and more computing."""
     led_rgb: LedLevels = (15, 15, 15)
+    """Red, green, blue, 0 to 15 each; calibrate again after a change."""
     stall_ms: Annotated[float, Field(ge=50.0, le=5000.0)] = 250.0
+    """Without a frame for this time the stream counts as stalled."""
 
 
 def start_digit(

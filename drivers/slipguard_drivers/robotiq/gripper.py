@@ -60,20 +60,21 @@ SILENT_CALLS = 2
 
 
 class RobotiqSettings(BaseModel):
-    """How the gripper is connected (`port` or `urcap`), and what it is.
+    """How the gripper is connected (`port` or `urcap`), and what it is."""
 
-    port: a serial port of this computer, preferably a name under /dev/serial/by-id, which stays with the adapter; or
-    `socket://ROBOT:54321`, the RS-485 forwarder on the robot. urcap: `ROBOT:63352`, Robotiq's URCap on the robot.
-    timeout_ms: for one response; longer if the measured round trip needs it.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     port: Annotated[str | None, Field(min_length=1)] = None
+    """A serial port of this computer, preferably a name under /dev/serial/by-id, which stays with the adapter; or
+    `socket://ROBOT:54321`, the RS-485 forwarder on the robot."""
     urcap: Annotated[str | None, Field(min_length=1)] = None
+    """`ROBOT:63352`: Robotiq's URCap on the robot."""
     model: Literal["2F-85", "2F-140", "Hand-E"] = "2F-85"
+    """20-235 N, 10-125 N or 20-185 N."""
     slave_id: Annotated[int, Field(ge=1, le=247)] = registers.SLAVE_ID
+    """Modbus address."""
     timeout_ms: Annotated[float, Field(ge=20.0, le=1000.0)] = 50.0
+    """For one response; longer if the measured round trip needs it."""
     approach_speed: Annotated[float, Field(ge=0.0, le=1.0)] = 0.25
     """Share of the speed range, 20 to 150 mm/s on a 2F-85, at which the fingers close on an object."""
     fingertip_mm: Annotated[float, Field(ge=0.0, le=40.0)] = 0.0

@@ -16,14 +16,17 @@ def _without_blanks(text: str) -> str:
 class Ur5Settings(BaseModel):
     """Settings of a UR arm; each mode ignores the other mode's settings."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
     host: Annotated[str, Field(min_length=1), AfterValidator(_without_blanks)]
     """The controller's address."""
 
     speed_max_mm_s: Annotated[float, Field(gt=0.0, le=250.0)] = 250.0
+    """Speed limit; 250 is the usual one near people."""
     acceleration_mm_s2: Annotated[float, Field(ge=50.0, le=2500.0)] = 500.0
+    """Acceleration of a lift."""
     stop_mm_s2: Annotated[float, Field(ge=500.0, le=10000.0)] = 2500.0
+    """Deceleration of a stop."""
     watchdog_hz: Annotated[float, Field(ge=2.0, le=15.0)] = 4.0
     """Lift mode: the robot stops by itself if it receives nothing for 1 / watchdog_hz seconds."""
     registers: Literal["lower", "upper"] = "lower"

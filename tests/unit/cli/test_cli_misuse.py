@@ -141,7 +141,7 @@ def test_a_corrupt_model_in_the_configuration(capfd: pytest.CaptureFixture[str],
     model.write_bytes(whole[: len(whole) // 2])
     shipped = (Path(__file__).parents[3] / "config.toml").read_text()
     path = tmp_path / "cell.toml"
-    path.write_text(shipped.replace('# model = "models/tsnn-small.onnx"', f'model = "{model}"'))
+    path.write_text(f'{shipped}[perception]\nmodel = "{model}"\n')
     for command in ("check", "run"):
         ran = slipguard(capfd, command, "--config", path)
         assert "not a readable ONNX model" in ran.complaint
