@@ -19,7 +19,6 @@ from slipguard.cli import (
     emulate,
     evaluate,
     install,
-    latency,
     measure,
     replay,
     simulate,
@@ -46,7 +45,6 @@ app.add_typer(ctl.app, name="ctl", rich_help_panel=ROBOT)
 app.command(rich_help_panel=ANALYSIS)(measure.measure)
 app.command(rich_help_panel=ANALYSIS)(replay.replay)
 app.command(rich_help_panel=CHECKS)(bench.bench)
-app.command(rich_help_panel=CHECKS)(latency.latency)
 app.command(rich_help_panel=CHECKS)(stress.stress)
 app.add_typer(evaluate.app, name="evaluate", rich_help_panel=CHECKS)
 app.add_typer(emulate.app, name="emulate", rich_help_panel=CHECKS)
