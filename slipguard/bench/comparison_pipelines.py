@@ -1,10 +1,10 @@
-"""Pipelines to compare slipguard with: the paper's, and background subtraction without a network."""
+"""Pipelines to compare slipguard with: the paper's, its axis, background subtraction, and one that answers 0."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -16,7 +16,14 @@ from slipguard.errors import ModelError
 from slipguard.perception.axis import axial_difference_deg, wrap_axial_deg
 from slipguard.perception.estimate import Estimate
 
-MIN_AREA_PX = 200
+
+class FrameProcessor(Protocol):
+    """Processes the frames of one grasp in order."""
+
+    def process(self, frame: Frame) -> Estimate: ...
+
+    @property
+    def last_mask(self) -> NDArray[np.uint8]: ...
 
 
 class AxialRotation:
@@ -25,39 +32,29 @@ class AxialRotation:
     def __init__(self) -> None:
         self._first_deg: float | None = None
 
-    def estimate(self, frame: Frame, axis_deg: float, area_px: int, method: str) -> Estimate:
-        """Return the estimate, without sigma, for an axis; NaN if there is no axis."""
+    def estimate(self, frame: Frame, axis_deg: float, method: str, contact: bool | None = None) -> Estimate:
+        """Return the estimate for an axis, without sigma; NaN: no axis. contact: None if an axis means contact."""
         rotation_deg = None
-        if math.isfinite(axis_deg) and area_px >= MIN_AREA_PX:
+        if math.isfinite(axis_deg):
             if self._first_deg is None:
                 self._first_deg = axis_deg
             rotation_deg = axial_difference_deg(axis_deg, self._first_deg)
-        return Estimate(
-            sequence=frame.sequence,
-            captured_at_s=frame.captured_at_s,
-            measured_at_s=frame.captured_at_s,
-            contact=area_px >= MIN_AREA_PX,
-            contact_area_px=area_px,
-            method=method,
-            rotation_deg=rotation_deg,
-            declined=None if rotation_deg is not None else "no axis",
-        )
+        at_s, declined = frame.captured_at_s, None if rotation_deg is not None else "no axis"
+        seen = rotation_deg is not None if contact is None else contact
+        return Estimate(frame.sequence, at_s, at_s, seen, 0, method, rotation_deg=rotation_deg, declined=declined)
 
 
-def axis_of_points(x: NDArray[np.intp], y: NDArray[np.intp]) -> float:
-    """Return the direction of the largest variance of pixels (x right, y down), degrees counter-clockwise."""
+def axis_of_mask(mask: NDArray[np.uint8]) -> float:
+    """Return the direction of the largest variance of a mask's pixels, degrees counter-clockwise; NaN without any."""
+    y, x = np.nonzero(mask)
+    if x.size < 2:
+        return math.nan
     dx, dy = x - x.mean(), y - y.mean()
     return wrap_axial_deg(-math.degrees(math.atan2(2.0 * float(dx @ dy), float(dx @ dx - dy @ dy))) / 2.0)
 
 
-def axis_of_ellipse(mask: NDArray[np.uint8]) -> float:
-    """Return the long axis of an ellipse fitted to the longest contour; NaN if there is no contour."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    longest = max(contours, key=len, default=None)
-    if longest is None or len(longest) < 5:
-        return math.nan
-    _, (first, second), rotated = cv2.fitEllipse(longest)
-    return wrap_axial_deg(-rotated if first >= second else -rotated - 90.0)
+def _thinned(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(cv2.ximgproc.thinning(mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL), np.uint8)
 
 
 MIN_THRESHOLD_LEVELS = 10.0
@@ -67,11 +64,10 @@ _DISC = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
 
 
 class BackgroundSubtraction:
-    """Rotation since the first frame by PCA of the mask or an ellipse around it; no sigma."""
+    """Rotation since the first frame by PCA of the mask; no sigma."""
 
-    def __init__(self, background: NDArray[np.uint8], axis: Literal["pca", "ellipse"]) -> None:
+    def __init__(self, background: NDArray[np.uint8]) -> None:
         self._background = background.astype(np.float32)
-        self._axis: Literal["pca", "ellipse"] = axis
         self._rotation = AxialRotation()
         self.last_mask: NDArray[np.uint8] = np.zeros(background.shape[:2], np.uint8)
 
@@ -85,17 +81,38 @@ class BackgroundSubtraction:
         above = np.asarray(strength > max(otsu, MIN_THRESHOLD_LEVELS), np.uint8)
         closed = np.asarray(cv2.morphologyEx(above, cv2.MORPH_CLOSE, _DISC), np.uint8)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(closed)
-        if count < 2:
-            self.last_mask = np.zeros_like(closed)
-            return self._rotation.estimate(frame, math.nan, 0, self._axis)
-        largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
-        self.last_mask = np.asarray(labels == largest, np.uint8)
-        if self._axis == "ellipse":
-            angle_deg = axis_of_ellipse(self.last_mask)
-        else:
-            y, x = np.nonzero(self.last_mask)
-            angle_deg = axis_of_points(x, y)
-        return self._rotation.estimate(frame, angle_deg, int(stats[largest, cv2.CC_STAT_AREA]), self._axis)
+        largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if count > 1 else 0
+        self.last_mask = np.asarray((labels == largest) & (largest > 0), np.uint8)
+        return self._rotation.estimate(frame, axis_of_mask(self.last_mask), "pca")
+
+
+class SkeletonAxis:
+    """The paper's axis, by thinning and a line, on the masks of another pipeline; no sigma."""
+
+    def __init__(self, pipeline: FrameProcessor) -> None:
+        self._pipeline = pipeline
+        self._rotation = AxialRotation()
+
+    @property
+    def last_mask(self) -> NDArray[np.uint8]:
+        return self._pipeline.last_mask
+
+    def process(self, frame: Frame) -> Estimate:
+        """Process the frame by the other pipeline, then thin its mask at the network's size."""
+        contact = self._pipeline.process(frame).contact
+        mask = self._pipeline.last_mask if contact else np.zeros_like(self._pipeline.last_mask)
+        small = cv2.resize(mask, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_NEAREST)
+        return self._rotation.estimate(frame, axis_of_mask(_thinned(np.asarray(small, np.uint8))), "skeleton", contact)
+
+
+class ZeroRotation:
+    """Always answers 0: any pipeline must be better."""
+
+    last_mask: NDArray[np.uint8] = np.zeros((FRAME_HEIGHT_PX, FRAME_WIDTH_PX), np.uint8)
+
+    def process(self, frame: Frame) -> Estimate:
+        at_s = frame.captured_at_s
+        return Estimate(frame.sequence, at_s, at_s, True, 0, "zero", rotation_deg=0.0)
 
 
 MEAN_RGB, STD_RGB = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -181,11 +198,7 @@ class PaperPipeline:
         if self._given is not None:
             mask = _at_size(self._given[frame.sequence], self._network.width, self._network.height)
         self._mask = mask
-        skeleton = cv2.ximgproc.thinning(mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL)
-        y, x = np.nonzero(skeleton)
-        angle_deg = axis_of_points(x, y) if x.size > 1 else math.nan
-        area_px = int(np.count_nonzero(mask)) * FRAME_WIDTH_PX * FRAME_HEIGHT_PX // mask.size
-        return self._rotation.estimate(frame, angle_deg, area_px, "skeleton")
+        return self._rotation.estimate(frame, axis_of_mask(_thinned(mask)), "skeleton", bool(mask.any()))
 
 
 def _at_size(mask: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:

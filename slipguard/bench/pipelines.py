@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
-import numpy as np
-from numpy.typing import NDArray
-
-from slipguard.bench.comparison_pipelines import BackgroundSubtraction, FrameNetwork, PaperPipeline
+from slipguard.bench.comparison_pipelines import (
+    BackgroundSubtraction,
+    FrameNetwork,
+    FrameProcessor,
+    PaperPipeline,
+    SkeletonAxis,
+    ZeroRotation,
+)
 from slipguard.datasets.rendered_grasps import RenderedGrasp
-from slipguard.devices import Frame
 from slipguard.errors import ModelError
-from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter, default_model_path
 from slipguard.perception.settings import EstimatorName, PerceptionSettings
@@ -24,16 +27,7 @@ from slipguard.perception.skipping import ALL_SKIPS, Skips
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 NO_SKIP = Skips(no_contact=False, unchanged=False, whole=False)
 PEER_MODEL = "peer-deeplabv3plus-resnet18-timing.onnx"
-Kind = Literal["ours", "paper", "subtraction"]
-
-
-class FrameProcessor(Protocol):
-    """Processes the frames of one grasp in order."""
-
-    def process(self, frame: Frame) -> Estimate: ...
-
-    @property
-    def last_mask(self) -> NDArray[np.uint8]: ...
+Kind = Literal["ours", "paper", "subtraction", "paper axis", "zero"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +40,8 @@ class BenchPipeline:
     """
 
     kind: Kind
-    network: str
-    estimator: str
+    network: str = ""
+    estimator: str = ""
     path: Path | None = None
     sees: Literal["contract", "frame"] = "contract"
     resolution: str | None = None
@@ -57,42 +51,43 @@ class BenchPipeline:
     @property
     def name(self) -> str:
         """The name, unique within a bench."""
+        if self.kind in ("zero", "paper axis"):
+            return self.kind
         if self.kind == "paper":
             cores = "" if self.threads == 1 else f", {self.threads} threads"
             return f"the paper's pipeline: {self.network} {self.resolution} + OpenCV thinning + line{cores}"
         plain = f"{self.network} + {self.estimator}"
-        return plain if self.skips == ALL_SKIPS or self.kind == "subtraction" else f"{plain}, no skipping"
-
-    @property
-    def large(self) -> bool:
-        """Whether a frame takes tens of milliseconds or more."""
-        return self.sees == "frame"
+        if self.kind == "subtraction" or self.skips == ALL_SKIPS:
+            return plain
+        off = ("no_contact", "unchanged", "whole")
+        missing = [name for name in off if not getattr(self.skips, name)]
+        return f"{plain}, no skipping" + ("" if self.skips == NO_SKIP else f" of {', '.join(missing)}")
 
     @property
     def timing_only(self) -> bool:
         """Whether the network has arbitrary weights, so that only its time has a meaning."""
         return self.sees == "frame" and _frame_network(self.path, self.threads).timing_only
 
-    def open(self, grasp: RenderedGrasp, masks: dict[int, NDArray[np.uint8]] | None = None) -> FrameProcessor:
+    def open(self, grasp: RenderedGrasp) -> FrameProcessor:
         """Return a new instance for the frames of a grasp.
 
-        masks: by frame number, used instead of the output of a network with arbitrary weights.
+        A network with arbitrary weights is followed by the labels of the grasp, where a frame has one.
         """
+        if self.kind == "zero":
+            return ZeroRotation()
         if self.kind == "subtraction":
-            return BackgroundSubtraction(grasp.background, "ellipse" if self.estimator == "ellipse" else "pca")
+            return BackgroundSubtraction(grasp.background)
         if self.kind == "paper":
             network = _frame_network(self.path, self.threads)
+            masks = {shot.frame.sequence: shot.mask for shot in grasp.shots if shot.mask is not None}
             return PaperPipeline(network, masks if network.timing_only else None)
         segmenter = _segmenter(self.path) if self.sees == "contract" else _frame_network(self.path, self.threads)
-        return Pipeline(
-            segmenter,
-            PerceptionSettings.model_validate({"estimator": self.estimator}),
-            grasp.background,
-            grasp.noise_bgr,
-            grasp.px_per_mm,
-            timer=time.perf_counter,
+        settings = PerceptionSettings.model_validate({"estimator": self.estimator})
+        pipeline = Pipeline(
+            segmenter, settings, grasp.background, grasp.noise_bgr, grasp.px_per_mm, timer=time.perf_counter,
             skips=self.skips,
-        )
+        )  # fmt: skip
+        return SkeletonAxis(pipeline) if self.kind == "paper axis" else pipeline
 
 
 @lru_cache(maxsize=8)
@@ -105,8 +100,8 @@ def _frame_network(path: Path | None, threads: int) -> FrameNetwork:
     return FrameNetwork(default_model_path().with_name(PEER_MODEL) if path is None else path, threads)
 
 
-def with_small_network(path: Path | None, all_without_skipping: bool) -> list[BenchPipeline]:
-    """Return pipelines with every estimator for a network that keeps the model contract.
+def with_small_network(path: Path | None, all_without_skipping: bool = False) -> list[BenchPipeline]:
+    """Return pipelines with every estimator for a network that keeps the model contract, the default estimator first.
 
     The default estimator is also measured without skipping; all estimators if `all_without_skipping`.
     """
@@ -114,19 +109,23 @@ def with_small_network(path: Path | None, all_without_skipping: bool) -> list[Be
     width, height = segmenter.input_size
     stem, size = segmenter.path.stem, f"{width}×{height}"
     default = PerceptionSettings().estimator
-    found = [BenchPipeline("ours", stem, name, segmenter.path, "contract", size) for name in ESTIMATORS]
-    plain = ESTIMATORS if all_without_skipping else (default,)
+    names = sorted(ESTIMATORS, key=lambda name: name != default)
+    found = [BenchPipeline("ours", stem, name, segmenter.path, "contract", size) for name in names]
+    plain = names if all_without_skipping else [default]
     return found + [BenchPipeline("ours", stem, name, segmenter.path, "contract", size, NO_SKIP) for name in plain]
 
 
-def with_large_network(path: Path, threads: int = 1) -> list[BenchPipeline]:
-    """Return the paper's pipeline with a frame network, then slipguard's estimators with it."""
-    network = _frame_network(path, threads)
+def with_large_network(path: Path) -> list[BenchPipeline]:
+    """Return the paper's pipeline with a frame network, on one thread and on all, then slipguard's with it."""
+    network = _frame_network(path, 1)
     size = f"{network.width}×{network.height}"
-    paper = BenchPipeline("paper", path.stem, "skeleton", path, "frame", size, NO_SKIP, threads)
+    papers = [
+        BenchPipeline("paper", path.stem, "skeleton", path, "frame", size, NO_SKIP, threads)
+        for threads in sorted({1, os.cpu_count() or 1})
+    ]
     if network.timing_only:
-        return [paper]
-    return [paper, *(BenchPipeline("ours", path.stem, name, path, "frame", size) for name in ESTIMATORS)]
+        return papers
+    return [*papers, *(BenchPipeline("ours", path.stem, name, path, "frame", size) for name in ESTIMATORS)]
 
 
 def with_timing_network() -> list[BenchPipeline]:
@@ -134,12 +133,9 @@ def with_timing_network() -> list[BenchPipeline]:
     return with_large_network(default_model_path().with_name(PEER_MODEL))
 
 
-def without_network() -> list[BenchPipeline]:
-    """Return the pipelines that segment by background subtraction."""
-    return [
-        BenchPipeline("subtraction", "background subtraction", axis, None, "contract", "240×320", NO_SKIP)
-        for axis in ("pca", "ellipse")
-    ]
+def without_network() -> BenchPipeline:
+    """Return the pipeline that segments by background subtraction."""
+    return BenchPipeline("subtraction", "background subtraction", "pca", None, "contract", "240×320", NO_SKIP)
 
 
 def network_files(folder: Path | None) -> tuple[list[Path], list[Path]]:

@@ -1,4 +1,4 @@
-"""Plot of a bench: error against time, time by stage, and error by difficulty of the grasp."""
+"""Plot of a bench: error against time, and time by stage."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ MARKERS = {"registration": "o", "moments": "D", "ellipse": "^", "pca": "v", "ske
 def draw_bench(found: BenchReport, path: Path) -> None:
     """Draw the plot into an image file. Raises `InputError` if it cannot be written."""
     drawing = figure(13.0, 9.0)
-    grid = drawing.add_gridspec(2, 2, height_ratios=(1.35, 1.0))
-    _front(drawing.add_subplot(grid[0, :]), found)
-    _stages(drawing.add_subplot(grid[1, 0]), found)
-    _quarters(drawing.add_subplot(grid[1, 1]), found)
+    front, stages = drawing.subplots(2, 1, height_ratios=(1.8, 1.0))
+    _front(front, found)
+    _stages(stages, found)
     save(drawing, path)
 
 
 def _front(axes: Any, found: BenchReport) -> None:
-    """Plot the mean rotation error against the mean time of a frame over a minute of holding, with the Pareto front."""
+    """Plot the mean rotation error against the mean time of a frame while an object is held, with the Pareto front."""
     rows = [*found.pipelines, *found.peers]
     networks = list(dict.fromkeys(row.network for row in rows))
     colors = {network: f"C{index}" for index, network in enumerate(networks)}
@@ -74,7 +73,7 @@ def _front(axes: Any, found: BenchReport) -> None:
     axes.set_yscale("log")
     low, high = axes.get_ylim()
     axes.set_ylim(low / 1.3, high * 2.5)
-    axes.set_xlabel("mean time of a frame over a minute of holding, ms (one core unless stated)")
+    axes.set_xlabel("mean time of a frame while an object is held, ms (one core unless stated)")
     axes.set_ylabel("mean rotation error, degrees")
     axes.set_title("Rendered grasps of objects that are not in the training images")
     axes.grid(alpha=0.3, which="both")
@@ -97,23 +96,6 @@ def _stages(axes: Any, found: BenchReport) -> None:
     axes.set_xlabel("mean time of a frame in contact, ms")
     axes.legend(fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.set_title(f"Time by stage: {network}")
-
-
-def _quarters(axes: Any, found: BenchReport) -> None:
-    for row in (*found.pipelines, *found.peers):
-        errors = row.turn_error_by_quartile_deg
-        shown = row.skipping or row in found.peers
-        if errors is None or not shown or row.threads > 1 or any(error is None for error in errors):
-            continue
-        axes.plot(range(1, len(errors) + 1), errors, "-o", markersize=3, label=_short(row),
-                  linewidth=2.5 if row.name == found.default else 1)  # fmt: skip
-    axes.set_xticks(range(1, 5), ["easiest quarter", "second", "third", "hardest"])
-    axes.set_ylabel("mean rotation error, degrees")
-    axes.grid(alpha=0.3, which="both")
-    if axes.lines:
-        axes.set_yscale("log")
-        axes.legend(fontsize=6, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    axes.set_title("By difficulty: roundness, cut by the frame, speed, growth")
 
 
 def _short(row: BenchRow) -> str:

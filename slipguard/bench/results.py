@@ -1,16 +1,22 @@
-"""Results of a bench: one row per pipeline, the value of each skip, and the whole as a public JSON object."""
+"""Results of a bench: one row per pipeline, the value of each skip, the effects, and the whole as a JSON object."""
 
 from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import onnxruntime as ort
+
+from slipguard.bench.pipelines import BenchPipeline
+from slipguard.bench.scenes import SceneOutcome
+from slipguard.datasets.rendered_grasps import EXTRA_PLAIN, ROUND_PLAIN, ROUND_TEXTURED
+from slipguard.tools.figures import Figures, plain, share
 
 PUBLISHED: dict[str, Any] = {
     "source": "Castaño-Amorós and Gil, Rotational Slippage Prediction from Segmentation of Tactile Images",
@@ -39,8 +45,8 @@ class BenchRow:
         declined_share: Share of declined frames on the objects with an axis.
         frames: Frames that are compared with the truth, in `sequences` grasps; `turns` of them in `turn_sequences`
             grasps have an error: not declined, and of an object of the test manifest.
-        mean_ms_per_frame_grasp: Over a minute of holding, as is cpu_s_per_minute_grasp. For a large network with
-            slipguard's estimators it is computed from its own times and the default's share of skipped frames.
+        mean_ms_per_frame_grasp: While an object is held, as is cpu_s_per_minute_grasp. Where that is not measured, it
+            is computed from the pipeline's own times and the default's share of skipped frames.
         within_1_sigma: Share of errors up to one sigma; its _se: standard error from the variation between grasps,
             because errors within a grasp are correlated.
         round_textured_error_mean_deg: On objects without an axis but with texture.
@@ -89,29 +95,28 @@ class BenchRow:
 
 @dataclass(frozen=True, slots=True)
 class SkipResult:
-    """The value of one skip.
+    """The value of one skip, while an object is held.
 
     Attributes:
         kept: Whether slipguard uses the skip.
-        saved_ms: Time saved per skipped frame; processor time where a minute of holding is measured.
-        saved_ms_per_frame_grasp: Time saved per frame of a minute of holding.
+        skipped: Number of skipped frames of `frames`; None for a skip that leaves the texture to be measured.
+        saved_ms: Time saved per skipped frame.
+        saved_ms_per_frame_grasp: Time saved per frame.
         error_added_deg: Mean rotation error with the skip minus without.
-        frames_later: Longest delay of a slip's detection in frames; None where the skip cannot delay it.
-        how: The number of frames measured.
     """
 
     name: str
     kept: bool
+    skipped: int | None
+    frames: int
     saved_ms: float | None
     saved_ms_per_frame_grasp: float | None
     error_added_deg: float | None
-    frames_later: int | None
-    how: str
 
 
 @dataclass(frozen=True, slots=True)
 class ThinningResult:
-    """Thinning times for one size of masks. ratios: times of other implementations relative to slipguard's."""
+    """Thinning times of masks of one size. ratios: times of other implementations relative to slipguard's."""
 
     size: str
     masks: int
@@ -174,7 +179,7 @@ class BenchReport:
     def reference(self, resolution: str) -> BenchRow | None:
         """Return the row of the paper's pipeline that times are compared with; None without a row of this size.
 
-        It uses the first such network of the peers, on its fastest number of threads.
+        It uses the first such network of the peers, on the faster number of threads.
         """
         same_size = [row for row in self.peers if row.estimator == "skeleton" and row.resolution == resolution]
         same_network = [row for row in same_size if row.network == same_size[0].network and row.p50_ms is not None]
@@ -182,22 +187,30 @@ class BenchReport:
 
     @property
     def thinning_vs_cv2(self) -> float | None:
-        """Speed relative to the installed OpenCV, at the size where it is smallest."""
+        """Speed relative to the installed OpenCV."""
         return min((one.ratios["cv2"] for one in self.thinning), default=None)
+
+    def with_front(self) -> BenchReport:
+        """Return the report with the rows of the Pareto front marked."""
+        front = pareto_front([*self.pipelines, *self.peers])
+        marked = [
+            tuple(replace(row, pareto=row.name in front) for row in rows) for rows in (self.pipelines, self.peers)
+        ]
+        return replace(self, pipelines=marked[0], peers=marked[1])
 
     def as_json(self) -> dict[str, Any]:
         """Return the public result, with rounded numbers; unknown values are null."""
         return {
             "machine": self.machine,
-            "pipelines": [_plain(asdict(row)) for row in self.pipelines],
-            "peers": [_plain(asdict(row)) for row in self.peers],
+            "pipelines": plain(self.pipelines),
+            "peers": plain(self.peers),
             "default": self.default,
-            "thinning_vs_cv2": _plain(self.thinning_vs_cv2),
-            "thinning": [_plain(asdict(one)) for one in self.thinning],
-            "skips": [_plain(asdict(one)) for one in self.skips],
+            "thinning_vs_cv2": plain(self.thinning_vs_cv2),
+            "thinning": plain(self.thinning),
+            "skips": plain(self.skips),
             "published": PUBLISHED,
             "notes": list(self.notes),
-            "effects": [_plain(asdict(one)) for one in self.effects],
+            "effects": plain(self.effects),
         }
 
 
@@ -232,12 +245,170 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
-    """Return a value for JSON: null for NaN, at most four decimals, lists for tuples."""
-    if isinstance(value, float):
-        return round(value, 4) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(one) for one in value]
-    return value
+CONFIDENT_SIGMAS = 3.0
+QUARTERS = 4
+WRONG_SHIFT_MM = 0.4
+"""Half of the finest pitch of the shafts: a shift that is off by more may have been taken for another period's."""
+
+
+def bench_row(
+    pipeline: BenchPipeline, found: Sequence[SceneOutcome], timed: Sequence[SceneOutcome], held_ms: float | None
+) -> BenchRow:
+    """Return the figures of one pipeline.
+
+    Args:
+        found: Its outcomes in the grasps that errors are measured in; those of one that is for timing only have none.
+        timed: Its outcomes in the grasps that times are measured in.
+        held_ms: Its mean time of a frame while an object is held.
+    """
+    if pipeline.timing_only:
+        found = ()
+    manifest = [one for one in found if one.object_name not in EXTRA_PLAIN]
+    readable = [one for one in manifest if one.readable]
+    textured = [one for one in manifest if one.object_name in ROUND_TEXTURED]
+    plain_ones = [one for one in found if one.object_name in ROUND_PLAIN]
+    errors = Figures.of(errors_of(manifest))
+    times = {kind: Figures.of(times_ms(timed, kind)) for kind in ("contact", "no contact", "unchanged")}
+    overlaps = [overlap for one in found for overlap in one.overlaps]
+    per_object = [
+        Figures.of(errors_of(one for one in manifest if one.object_name == name)).mean
+        for name in {one.object_name for one in manifest}
+    ]
+    return BenchRow(
+        name=pipeline.name,
+        network=pipeline.network,
+        estimator=pipeline.estimator,
+        p50_ms=times["contact"].p50,
+        p99_ms=times["contact"].p99,
+        skipped_p50_ms=Figures.of(times_ms(timed, "no contact") + times_ms(timed, "unchanged")).p50,
+        turn_error_mean_deg=errors.mean,
+        turn_error_worst_object_deg=max((mean for mean in per_object if mean is not None), default=None),
+        declined_share=declined_share(readable),
+        dice=Figures.of(dice for dice, _ in overlaps).mean,
+        iou=Figures.of(iou for _, iou in overlaps).mean,
+        frames=sum(one.compared for one in found) if found else times["contact"].count,
+        sequences=len(found) if found else None,
+        resolution=pipeline.resolution,
+        skipping=pipeline.skips.unchanged,
+        threads=pipeline.threads,
+        turns=errors.count if found else None,
+        turn_sequences=sum(bool(one.errors) for one in manifest) if found else None,
+        mean_ms_per_frame_grasp=held_ms,
+        cpu_s_per_minute_grasp=None if held_ms is None else 3.6 * held_ms * pipeline.threads,
+        no_contact_p50_ms=times["no contact"].p50,
+        unchanged_p50_ms=times["unchanged"].p50,
+        turn_error_readable_mean_deg=Figures.of(errors_of(readable)).mean,
+        turn_error_sd_deg=errors.sd,
+        turn_error_p95_deg=errors.p95,
+        turn_error_by_quartile_deg=errors_by_quarter(manifest) if errors.count else None,
+        within_1_sigma=within_sigmas(manifest, 1.0),
+        within_2_sigma=within_sigmas(manifest, 2.0),
+        within_1_sigma_se=within_sigma_se(manifest, 1.0),
+        within_2_sigma_se=within_sigma_se(manifest, 2.0),
+        round_textured_error_mean_deg=Figures.of(errors_of(textured)).mean,
+        round_textured_declined_share=declined_share(textured),
+        round_plain_declined_share=declined_share(plain_ones),
+        round_plain_confident_share=confident_share(plain_ones),
+        stage_ms=_stages(timed, times["contact"].count),
+    )
+
+
+def _stages(timed: Sequence[SceneOutcome], frames: int) -> dict[str, tuple[float, float, float]]:
+    names = dict.fromkeys(stage for one in timed for stage in one.stage_ms)
+    spent = {stage: [ms for one in timed for ms in one.stage_ms.get(stage, ())] for stage in names}
+    return {
+        stage: (float(np.quantile(ms, 0.5)), float(np.quantile(ms, 0.99)), sum(ms) / frames)
+        for stage, ms in spent.items()
+    }
+
+
+def times_ms(outcomes: Iterable[SceneOutcome], kind: str) -> list[float]:
+    return [ms for one in outcomes for ms in one.times_ms.get(kind, ())]
+
+
+def mean_ms(outcome: SceneOutcome) -> float | None:
+    """Return the mean time of a frame of any kind."""
+    return Figures.of(ms for spent in outcome.times_ms.values() for ms in spent).mean
+
+
+def errors_of(outcomes: Iterable[SceneOutcome]) -> list[float]:
+    return [error for one in outcomes for error, _, _ in one.errors]
+
+
+def declined_share(outcomes: Sequence[SceneOutcome]) -> float | None:
+    compared = sum(one.compared for one in outcomes)
+    return 1.0 - sum(len(one.errors) for one in outcomes) / compared if compared else None
+
+
+def confident_share(outcomes: Sequence[SceneOutcome]) -> float | None:
+    """Return the share of frames with an estimate above three sigmas; without a sigma every estimate counts."""
+    compared = sum(one.compared for one in outcomes)
+    above = [abs(deg) > CONFIDENT_SIGMAS * (sigma or 0.0) for one in outcomes for _, deg, sigma in one.errors]
+    return sum(above) / compared if compared else None
+
+
+def within_sigmas(outcomes: Iterable[SceneOutcome], sigmas: float) -> float | None:
+    return share(error <= sigmas * sigma for one in outcomes for error, _, sigma in one.errors if sigma is not None)
+
+
+def within_sigma_se(outcomes: Sequence[SceneOutcome], sigmas: float) -> float | None:
+    """Return the standard error of the share of errors within `sigmas`, from its variation between grasps.
+
+    It is that of a ratio of two sums over grasps; None for fewer than two grasps with a sigma.
+    """
+    inside = [[error <= sigmas * sigma for error, _, sigma in one.errors if sigma is not None] for one in outcomes]
+    counts = np.array([(sum(one), len(one)) for one in inside if one])
+    if len(counts) < 2:
+        return None
+    inside_counts, totals = counts[:, 0], counts[:, 1]
+    deviations = inside_counts - totals * inside_counts.sum() / totals.sum()
+    return float(np.sqrt(np.square(deviations).sum() * len(counts) / (len(counts) - 1)) / totals.sum())
+
+
+def errors_by_quarter(outcomes: Sequence[SceneOutcome]) -> tuple[float | None, ...]:
+    """Return the mean error of each quarter of the grasps, the easiest first."""
+    ordered = sorted(outcomes, key=lambda one: one.difficulty)
+    parts = np.array_split(np.arange(len(ordered)), QUARTERS)
+    return tuple(Figures.of(errors_of(ordered[index] for index in part)).mean for part in parts)
+
+
+def skip_result(name: str, used: SceneOutcome, without: SceneOutcome) -> SkipResult:
+    """Return the value of one skip from the same frames with and without it."""
+    reason = name.split(":")[0]
+    skipped = len(used.times_ms[reason]) if reason in used.times_ms else None
+    frames = sum(map(len, used.times_ms.values()))
+    saved = (mean_ms(without) or 0.0) - (mean_ms(used) or 0.0)
+    added = [Figures.of(errors_of([one])).mean for one in (used, without)]
+    return SkipResult(
+        name, True, skipped, frames, saved * frames / skipped if skipped else None, saved,
+        None if added[0] is None or added[1] is None else added[0] - added[1],
+    )  # fmt: skip
+
+
+def effect_result(
+    effect: str, found: Sequence[SceneOutcome], zero: Sequence[SceneOutcome], axis: Sequence[SceneOutcome]
+) -> EffectResult:
+    """Return the figures of one effect, and those of the two baselines."""
+    errors = Figures.of(errors_of(found))
+    sigmas = [error / sigma for one in found for error, _, sigma in one.errors if sigma is not None]
+    return EffectResult(
+        effect=effect,
+        n=sum(one.compared for one in found),
+        grasps=len(found),
+        mean_deg=errors.mean,
+        worst_deg=errors.worst,
+        declined_share=declined_share(found) or 0.0,
+        within_1_sigma=within_sigmas(found, 1.0),
+        within_2_sigma=within_sigmas(found, 2.0),
+        beyond_3_sigma=share(one > 3.0 for one in sigmas),
+        beyond_4_sigma=share(one > 4.0 for one in sigmas),
+        error_over_sigma_p99=Figures.of(sigmas).p99,
+        shift_wrong_share=share(mm > WRONG_SHIFT_MM for one in found for mm in one.shifts_mm),
+        zero=_baseline(zero),
+        paper_axis=_baseline(axis),
+    )
+
+
+def _baseline(outcomes: Sequence[SceneOutcome]) -> BaselineResult:
+    errors = Figures.of(errors_of(outcomes))
+    return BaselineResult(errors.mean, errors.worst, declined_share(outcomes) or 0.0)

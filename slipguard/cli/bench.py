@@ -61,6 +61,7 @@ def bench(
 
     from slipguard.bench import run, tables
     from slipguard.bench.plot import draw_bench
+    from slipguard.tools.figures import write_json
     from slipguard.tools.parallel import Workers
 
     make_folder(out)
@@ -72,14 +73,14 @@ def bench(
         found = run.bench(options, show)
     if out is not None:
         draw_bench(found, out / "bench.png")
-        (out / "bench.json").write_text(jsonlib.dumps(found.as_json(), indent=2) + "\n", encoding="utf-8")
+        write_json(out / "bench.json", found.as_json())
     if json:
         print(jsonlib.dumps(found.as_json()))
         return
     console = Console()
     for shown in tables.bench_tables(found):
         console.print(shown)
-    for line in (*tables.skip_notes(found), *tables.notes(found)):
+    for line in tables.notes(found):
         console.print(line, style="dim")
 
 

@@ -97,8 +97,7 @@ def version(
 
     libraries: dict[str, str | None] = {}
     for name in (
-        "numpy", "onnxruntime", "opencv-contrib-python-headless", "scikit-image", "pydantic",
-        "structlog", "ur-rtde", "torch",
+        "numpy", "onnxruntime", "opencv-contrib-python-headless", "pydantic", "structlog", "ur-rtde", "torch",
     ):  # fmt: skip
         try:
             libraries[name] = installed(name)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
+from slip_onset import SlipOnset, detection_delay, first_detection
 
-from slipguard.bench.slip_onset import SlipOnset, detection_delay, first_detection
 from slipguard.datasets.rendered_grasps import RenderedGrasp
 from slipguard.devices import Frame
 from slipguard.perception.estimate import Estimate

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from slip_onset import SlipWatch
 
-from slipguard.bench.slip_onset import SlipWatch
 from slipguard.control.finger_fusion import fuse
 from slipguard.perception.estimate import Estimate
 from slipguard.perception.skipping import OTHER_FINGER, repeat_estimate, second_finger_can_skip
