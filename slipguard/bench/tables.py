@@ -7,16 +7,7 @@ from rich.table import Table
 from slipguard.bench.results import PUBLISHED, BenchReport, BenchRow, EffectResult
 from slipguard.tools.figures import figure_table, text
 
-COLUMNS = (
-    "front", "pipeline", "p50", "p99", "skipped", "mean over a grasp", "CPU s per minute", "rotation error", "p95",
-    "worst", "with an axis", "estimates", "declined", "round textured", "round plain declined", "within 1, 2 sigma",
-    "Dice", "IoU", "× 240×320", "× 120×160",
-)  # fmt: skip
-SHOWN = {
-    "pipeline": 1, "p50\nms": 2, "p99\nms": 3, "grasp\nms": 5, "error\n°": 7, "worst\n°": 9, "declined": 12,
-    "Dice": 16, "×\n240×320": 18,
-}  # fmt: skip
-"""Columns for the terminal, of 80 characters at least: title -> position in COLUMNS. --json has all figures."""
+PIPELINES = ("pipeline", "p50\nms", "p99\nms", "grasp\nms", "error\n°", "worst\n°", "declined", "Dice", "×\n240×320")
 EFFECTS = (
     "effect", "n", "error\n°", "worst\n°", "decl.\n%", "within %\n1, 2 σ", "beyond %\n3, 4 σ", "p99\nσ", "zero\n°",
     "axis\n°",
@@ -28,12 +19,7 @@ SIZES = ("240×320", "120×160")
 
 def bench_tables(found: BenchReport) -> list[Table]:
     """Return the tables of pipelines, effects and skips; they fit into 80 columns."""
-    rows = []
-    for row in (*found.pipelines, *found.peers):
-        cells = cells_of(row, found)
-        cells[7] = cells[7].split(" ± ")[0]
-        cells[1] = f"[bold]{cells[1]}[/]" if row.name == found.default else cells[1]
-        rows.append([cells[at] for at in SHOWN.values()])
+    rows = [pipeline_cells(row, found) for row in (*found.pipelines, *found.peers)]
     title = f"{found.machine['processor']}, one core unless stated; times in ms, errors in degrees"
     effects = [_effect_cells(one) for one in found.effects]
     skips = [
@@ -41,7 +27,7 @@ def bench_tables(found: BenchReport) -> list[Table]:
          text(one.error_added_deg, "{:+.3f}")]
         for one in found.skips
     ]  # fmt: skip
-    return [figure_table(list(SHOWN), rows, title), figure_table(EFFECTS, effects), figure_table(SKIPS, skips)]
+    return [figure_table(PIPELINES, rows, title), figure_table(EFFECTS, effects), figure_table(SKIPS, skips)]
 
 
 def _effect_cells(one: EffectResult) -> list[str]:
@@ -90,41 +76,21 @@ def _compared(found: BenchReport) -> list[str]:
     return lines
 
 
-def cells_of(row: BenchRow, found: BenchReport) -> list[str]:
-    """Return the cells of a row in the order of COLUMNS."""
-    error, sd = text(row.turn_error_mean_deg), text(row.turn_error_sd_deg)
+def pipeline_cells(row: BenchRow, found: BenchReport) -> list[str]:
+    """Return the cells of a row in the order of PIPELINES."""
     return [
-        "◆" if row.pareto else "",
-        row.name + (" (default)" if row.name == found.default else ""),
+        f"[bold]{row.name} (default)[/]" if row.name == found.default else row.name,
         text(row.p50_ms),
         text(row.p99_ms),
-        text(row.skipped_p50_ms),
         text(row.mean_ms_per_frame_grasp),
-        text(row.cpu_s_per_minute_grasp, "{:.1f}"),
-        error if row.turn_error_mean_deg is None else f"{error} ± {sd}",
-        text(row.turn_error_p95_deg),
+        text(row.turn_error_mean_deg),
         text(row.turn_error_worst_object_deg),
-        text(row.turn_error_readable_mean_deg),
-        text(row.turns, "{:,}"),
         text(row.declined_share, "{:.0%}"),
-        text(row.round_textured_error_mean_deg),
-        text(row.round_plain_declined_share, "{:.0%}"),
-        "–"
-        if row.within_1_sigma is None
-        else ", ".join(
-            (_share(row.within_1_sigma, row.within_1_sigma_se), _share(row.within_2_sigma, row.within_2_sigma_se))
-        ),
         text(row.dice, "{:.3f}"),
-        text(row.iou, "{:.3f}"),
-        *(text(_ratio(found.reference(size), row), "{:.1f}") for size in SIZES),
+        text(_ratio(found.reference(SIZES[0]), row), "{:.1f}"),
     ]
 
 
 def _ratio(peer: BenchRow | None, row: BenchRow) -> float | None:
     """Return the peer's time relative to the row's."""
     return None if peer is None or peer.p50_ms is None or not row.p50_ms else peer.p50_ms / row.p50_ms
-
-
-def _share(value: float | None, se: float | None) -> str:
-    """Return a share in percent, with its standard error if known."""
-    return text(value, "{:.0%}") if value is None or se is None else f"{100 * value:.0f} ± {100 * se:.0f}%"
