@@ -20,7 +20,7 @@ setup(
         (f"share/{PACKAGE}/launch", glob("launch/*.py")),
         (f"share/{PACKAGE}/config", glob("config/*")),
     ],
-    install_requires=["setuptools"],
+    install_requires=["setuptools", "slipguard_client"],
     extras_require={
         # Without an installation of ROS: Kilted from PyPI, for Python 3.11.
         "kilted": [
@@ -36,6 +36,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"slipguard_node = {PACKAGE}.node:main",
+            f"slipguard_call = {PACKAGE}.interfaces:main",
             f"slipguard_to_rosbag = {PACKAGE}.rosbag:main",
         ]
     },

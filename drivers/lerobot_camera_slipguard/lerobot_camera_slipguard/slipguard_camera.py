@@ -1,33 +1,66 @@
-"""LeRobot camera `slipguard`: the gel image of one finger."""
+"""LeRobot camera `slipguard`: the gel image of one finger, `--robot.cameras='{gel: {type: slipguard, ...}}'`."""
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import threading
 import time
-from collections.abc import Generator
+from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
-from lerobot.cameras import Camera
+from lerobot.cameras import Camera, CameraConfig
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 from numpy.typing import NDArray
 
-from lerobot_camera_slipguard.config_slipguard_camera import FINGERS, HEIGHT_PX, WIDTH_PX, SlipguardCameraConfig
-from lerobot_camera_slipguard.local_api import DaemonUnreachable, GelImage, LocalApi, RequestRefused
+from slipguard_client import FINGERS, DaemonUnreachable, LocalApi, RequestRefused, StreamThread, parse_frame
 
+WIDTH_PX, HEIGHT_PX = 240, 320
 FIRST_FRAME_TIMEOUT_S = 5.0
 OVERLAY_PERIOD_S = 0.1
 """The daemon draws the contact ten times per second."""
-RETRY_S = 0.5
-WAIT_S = 0.5
-"""The reading thread notices a disconnect after this time at the latest."""
 log = logging.getLogger(__name__)
+
+
+@CameraConfig.register_subclass("slipguard")
+@dataclass(kw_only=True)
+class SlipguardCameraConfig(CameraConfig):
+    """finger: left or right.
+
+    overlay: the image with contour and axis of the contact drawn over it, 10 per second; otherwise as it was captured.
+    max_age_ms: reading raises StaleFrame if the newest image was captured earlier.
+    socket: path of the daemon's Unix socket; empty for the daemon that runs on this machine.
+    """
+
+    finger: str
+    overlay: bool = False
+    max_age_ms: int = 500
+    socket: str = ""
+    fps: int | None = 60
+    width: int | None = WIDTH_PX
+    height: int | None = HEIGHT_PX
+
+    def __post_init__(self) -> None:
+        if self.finger not in FINGERS:
+            raise ValueError(f"finger is {self.finger!r}; choose from: {', '.join(FINGERS)}")
+        if (self.width, self.height) != (WIDTH_PX, HEIGHT_PX):
+            size = f"{self.width} x {self.height}"
+            raise ValueError(f"width x height is {size}; gel images have {WIDTH_PX} x {HEIGHT_PX} pixels")
+        if self.max_age_ms <= 0:
+            raise ValueError(f"max_age_ms is {self.max_age_ms}; it must be above 0")
 
 
 class StaleFrame(TimeoutError):
     """No image is new enough; str() says how old the newest is, and why."""
+
+
+@dataclass(frozen=True, eq=False)
+class RgbImage:
+    """rgb: (320, 240, 3) uint8. captured_at_s: on this machine's monotonic clock."""
+
+    rgb: NDArray[np.uint8]
+    captured_at_s: float
 
 
 class SlipguardCamera(Camera):
@@ -37,11 +70,10 @@ class SlipguardCamera(Camera):
         super().__init__(config)
         self.config = config
         self._changed = threading.Condition()
-        self._newest: GelImage | None = None
-        self._returned: GelImage | None = None
+        self._newest: RgbImage | None = None
+        self._returned: RgbImage | None = None
         self._problem: str | None = None
-        self._stopped = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._reader: StreamThread | _OverlayThread | None = None
 
     def __str__(self) -> str:
         return f"gel camera {self.config.finger}"
@@ -49,17 +81,16 @@ class SlipguardCamera(Camera):
     @property
     def is_connected(self) -> bool:
         """Whether `connect` succeeded and `disconnect` was not called since."""
-        return self._thread is not None
+        return self._reader is not None
 
     @staticmethod
     def find_cameras(socket: str = "") -> list[dict[str, Any]]:
         """Return both fingers of a running daemon; an empty list if no daemon responds."""
-        with LocalApi(socket) as api:
-            try:
-                fingers = api.state()["fingers"]
-            except (DaemonUnreachable, RequestRefused) as why:
-                log.warning("%s", why)
-                return []
+        try:
+            fingers = LocalApi(socket).state()["fingers"]
+        except (DaemonUnreachable, RequestRefused) as why:
+            log.warning("%s", why)
+            return []
         profile = {"format": "RGB", "width": WIDTH_PX, "height": HEIGHT_PX}
         return [
             {
@@ -70,7 +101,6 @@ class SlipguardCamera(Camera):
                 "default_stream_profile": profile | {"fps": fingers[name]["frames_per_s"]},
             }
             for name in FINGERS
-            if name in fingers
         ]
 
     @check_if_already_connected
@@ -81,14 +111,15 @@ class SlipguardCamera(Camera):
             DaemonUnreachable: a ConnectionError; no daemon responds.
             StaleFrame: The daemon has no new image of this finger.
         """
-        with LocalApi(self.config.socket) as api:
-            device = api.state()["devices"].get(self.config.finger, {})
-            if warmup and device.get("state") != "ready":
-                raise StaleFrame(f"{self}: the sensor is not ready: {device.get('reason')}. See `slipguard doctor`.")
+        api = LocalApi(self.config.socket)
+        device = api.state()["devices"][self.config.finger]
+        if warmup and device["state"] != "ready":
+            raise StaleFrame(f"{self}: the sensor is not ready: {device['reason']}. See `slipguard doctor`.")
         self._newest = self._returned = self._problem = None
-        self._stopped.clear()
-        self._thread = threading.Thread(target=self._run, name=str(self), daemon=True)
-        self._thread.start()
+        if self.config.overlay:
+            self._reader = _OverlayThread(api, self.config.finger, self._set, self._on_lost)
+        else:
+            self._reader = StreamThread(api, f"/frames/{self.config.finger}", self._on_frame, self._on_lost)
         try:
             if warmup:
                 self.async_read(1000.0 * FIRST_FRAME_TIMEOUT_S)
@@ -110,7 +141,7 @@ class SlipguardCamera(Camera):
             StaleFrame: No such image arrived within `timeout_ms`, or it is older than the configured `max_age_ms`.
         """
         with self._changed:
-            if not self._changed.wait_for(self._has_new_image, timeout_ms / 1000.0):
+            if not self._changed.wait_for(lambda: self._newest is not self._returned, timeout_ms / 1000.0):
                 raise self._stale(f"no new image within {timeout_ms:g} ms")
             self._returned = self._newest
         return self._checked(self.config.max_age_ms)
@@ -127,23 +158,12 @@ class SlipguardCamera(Camera):
             raise RuntimeError(f"{self}: no image yet{self._why()}")
         return self._checked(self.config.max_age_ms if max_age_ms is None else max_age_ms)
 
+    @check_if_not_connected
     def disconnect(self) -> None:
         """End the stream; the sensor and the guard are not affected. Raises DeviceNotConnectedError."""
-        thread = self._stop_thread()
-        if thread is not threading.current_thread():
-            thread.join(timeout=5.0)
-
-    @check_if_not_connected
-    def _stop_thread(self) -> threading.Thread:
-        thread, self._thread = self._thread, None
-        assert thread is not None
-        self._stopped.set()
-        with self._changed:
-            self._changed.notify_all()
-        return thread
-
-    def _has_new_image(self) -> bool:
-        return self._newest is not self._returned and self._newest is not None
+        reader, self._reader = self._reader, None
+        assert reader is not None
+        reader.stop()
 
     def _checked(self, max_age_ms: float) -> NDArray[np.uint8]:
         """Return the newest image if it is new enough: its age counts from its capture."""
@@ -160,38 +180,45 @@ class SlipguardCamera(Camera):
     def _why(self) -> str:
         return f" ({self._problem})" if self._problem else ""
 
-    def _run(self) -> None:
-        """Keep the newest image until disconnected."""
-        while not self._stopped.is_set():
-            try:
-                with LocalApi(self.config.socket) as api:
-                    source = self._overlays(api) if self.config.overlay else self._frames(api)
-                    with contextlib.closing(source) as images:
-                        for image in images:
-                            self._set(image)
-            except (DaemonUnreachable, RequestRefused) as why:
-                if str(why) != self._problem:
-                    log.warning("%s: %s", self, why)
-                self._problem = str(why)
-                self._stopped.wait(RETRY_S)
+    def _on_frame(self, message: bytearray) -> None:
+        frame = parse_frame(message)
+        bgr = np.frombuffer(frame.pixels, np.uint8).reshape(frame.height_px, frame.width_px, 3)
+        self._set(RgbImage(np.ascontiguousarray(bgr[..., ::-1]), frame.captured_at_s))
 
-    def _set(self, image: GelImage) -> None:
+    def _set(self, image: RgbImage) -> None:
         with self._changed:
             self._newest, self._problem = image, None
             self._changed.notify_all()
 
-    def _frames(self, api: LocalApi) -> Generator[GelImage]:
-        with contextlib.closing(api.frames(self.config.finger, WAIT_S)) as frames:
-            for image in frames:
-                if self._stopped.is_set():
-                    return
-                if image is not None:
-                    yield image
+    def _on_lost(self, why: str) -> None:
+        if why != self._problem:
+            log.warning("%s: %s", self, why)
+        self._problem = why
 
-    def _overlays(self, api: LocalApi) -> Generator[GelImage]:
-        newest = -1
+
+class _OverlayThread(threading.Thread):
+    """Requests the processed images with the contact drawn over them, as `StreamThread` does for frames."""
+
+    def __init__(self, api: LocalApi, finger: str, on_image: Any, on_lost: Any) -> None:
+        super().__init__(daemon=True)
+        self._api, self._path, self._on_image, self._on_lost = api, f"/image/{finger}", on_image, on_lost
+        self._stopped = threading.Event()
+        self.start()
+
+    def stop(self) -> None:
+        self._stopped.set()
+        self.join(5.0)
+
+    def run(self) -> None:
+        newest_s = 0.0
         while not self._stopped.wait(OVERLAY_PERIOD_S):
-            image = api.overlay(self.config.finger)
-            if image.sequence != newest:
-                newest = image.sequence
-                yield image
+            try:
+                content, headers = self._api.get(self._path)
+            except (DaemonUnreachable, RequestRefused) as why:
+                self._on_lost(str(why))
+                continue
+            captured_at_s = float(headers["x-captured-at-s"])
+            if captured_at_s > newest_s:
+                newest_s = captured_at_s
+                bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+                self._on_image(RgbImage(np.ascontiguousarray(bgr[..., ::-1]), captured_at_s))

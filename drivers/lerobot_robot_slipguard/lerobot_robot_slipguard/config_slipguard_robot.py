@@ -21,6 +21,7 @@ class SlipguardRobotConfig(RobotConfig):
     release_above: share of the opening, 0 to 1; only a position above it, commanded for `release_after_s`, releases a
         held object.
     force_in_action: actions gain `grip.force_n`, the requested force per finger in newtons.
+    estimates: how many of the newest rotation estimates an observation has. Two fingers give up to 120 per second.
     socket: path of the daemon's Unix socket; empty for the daemon that runs on this machine.
     """
 
@@ -33,6 +34,7 @@ class SlipguardRobotConfig(RobotConfig):
     release_above: float = 0.9
     release_after_s: float = 0.3
     force_in_action: bool = False
+    estimates: int = 4
     socket: str = ""
 
     def __post_init__(self) -> None:
@@ -41,6 +43,8 @@ class SlipguardRobotConfig(RobotConfig):
             raise ValueError(f"open_position and closed_position are both {self.open_position}; they must differ")
         if not 0.5 <= self.release_above < 1.0:
             raise ValueError(f"release_above is {self.release_above}; it must be at least 0.5 and below 1")
+        if not 1 <= self.estimates <= 64:
+            raise ValueError(f"estimates is {self.estimates}; it must be 1 to 64")
         if self.release_after_s < 0.0 or self.stroke_mm <= 0.0:
             raise ValueError(
                 f"release_after_s is {self.release_after_s}, stroke_mm {self.stroke_mm}; neither may be negative or 0"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import logging
 import math
 import time
+from collections import deque
 from functools import cached_property
 from typing import Any
 
@@ -14,13 +16,18 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots import Robot, make_robot_from_config
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
 
-from lerobot_camera_slipguard import DaemonUnreachable, LocalApi, RequestRefused
 from lerobot_robot_slipguard.config_slipguard_robot import SlipguardRobotConfig
 from lerobot_robot_slipguard.jaw_requests import JawRequest, JawRequests, is_held
+from slipguard_client import DaemonUnreachable, LocalApi, RequestRefused, StreamThread
 
-ROTATION, SIGMA, FORCE = "slip.rotation_deg", "slip.sigma_deg", "grip.force_n"
-NO_ESTIMATE_DEG = (0.0, 180.0)
-"""Rotation and sigma without an estimate: nothing is known of the angle. NaN would make a data set's statistics NaN."""
+FORCE = "grip.force_n"
+SLIP = ("valid", "rotation_deg", "sigma_deg", "age_ms")
+"""Of one estimate. Without one, valid is 0 and so are the others: a NaN would make a data set's statistics NaN."""
+ESTIMATES_KEPT = 240
+"""Two seconds of two cameras at 60 frames per second."""
+ESTIMATE_MAX_AGE_S = 0.15
+"""As for the guard: if the newest estimate is older, none is valid any more."""
+STATE_TIMEOUT_S = 2.0
 STATE_MAX_AGE_S = 0.2
 log = logging.getLogger(__name__)
 
@@ -41,6 +48,9 @@ class SlipguardRobot(Robot):
         self.arm = make_robot_from_config(config.arm_config())
         self._own_cameras = make_cameras_from_configs(config.cameras)
         self._api: LocalApi | None = None
+        self._stream: StreamThread | None = None
+        self.estimates: deque[dict[str, Any]] = deque(maxlen=ESTIMATES_KEPT)
+        """The newest estimates of both fingers together, as the daemon's stream `/estimates` reports them."""
         self._jaws = self._new_jaws()
         self._state: dict[str, Any] = {}
         self._read_at_s = -math.inf
@@ -54,8 +64,9 @@ class SlipguardRobot(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, type | tuple[int, ...]]:
-        """The arm's, the jaws, `slip.rotation_deg`, `slip.sigma_deg`, `grip.force_n`, and the further cameras."""
-        own = dict.fromkeys((self.config.gripper, ROTATION, SIGMA, FORCE), float)
+        """The arm's, the jaws, `grip.force_n`, the newest estimates (`slip_key`), and the further cameras."""
+        slip = [slip_key(name, index) for index in range(self.config.estimates) for name in SLIP]
+        own = dict.fromkeys((self.config.gripper, FORCE, *slip), float)
         images = {key: (camera.height, camera.width, 3) for key, camera in self._own_cameras.items()}
         return {**self.arm.observation_features, **own, **images}
 
@@ -81,9 +92,8 @@ class SlipguardRobot(Robot):
         """
         api = LocalApi(self.config.socket)
         with contextlib.ExitStack() as undo:
-            undo.callback(api.close)
-            state = api.state()
-            _check_guarding(state, api.socket)
+            state = api.state(STATE_TIMEOUT_S)
+            _check_guarding(state, api.socket_path)
             self.arm.connect(calibrate)
             undo.callback(self.arm.disconnect)
             for camera in self._own_cameras.values():
@@ -92,6 +102,8 @@ class SlipguardRobot(Robot):
             undo.pop_all()
         self._api, self._jaws, self._state = api, self._new_jaws(), state
         self._arm_action, self._problem = {}, None
+        self.estimates.clear()
+        self._stream = StreamThread(api, "/estimates", self._on_estimates, lambda why: log.info("estimates: %s", why))
 
     @property
     def is_calibrated(self) -> bool:
@@ -116,9 +128,7 @@ class SlipguardRobot(Robot):
         """
         observation = self.arm.get_observation()
         state = self._read_state()
-        rotation = state["rotation"] or {}
-        angles = rotation.get("rotation_deg"), rotation.get("sigma_deg")
-        observation[ROTATION], observation[SIGMA] = NO_ESTIMATE_DEG if None in angles else angles
+        observation |= slip_features([*self.estimates], self.config.estimates, time.monotonic())
         observation[FORCE] = self._force_n(state)
         observation[self.config.gripper] = self._position(state)
         for key, camera in self._own_cameras.items():
@@ -146,20 +156,21 @@ class SlipguardRobot(Robot):
             self._arm_action = {key: present[key] for key in for_arm if key in present}
         return {**self._arm_action, self.config.gripper: position, FORCE: sent_n}
 
+    @check_if_not_connected
     def disconnect(self) -> None:
         """Disconnect the arm and the cameras. slipguard keeps the grip and guards on."""
-        api = self._forget_daemon()
+        stream, self._api, self._stream = self._stream, None, None
+        assert stream is not None
         with contextlib.ExitStack() as stack:
-            stack.callback(api.close)
+            stack.callback(stream.stop)
             for camera in self._own_cameras.values():
                 stack.callback(camera.disconnect)
             self.arm.disconnect()
 
-    @check_if_not_connected
-    def _forget_daemon(self) -> LocalApi:
-        api, self._api = self._api, None
-        assert api is not None
-        return api
+    def _on_estimates(self, message: bytearray) -> None:
+        rotation = json.loads(message)["rotation"]
+        if rotation:
+            self.estimates.append(rotation)
 
     def _new_jaws(self) -> JawRequests:
         return JawRequests(self.config.stroke_mm, self.config.release_above, self.config.release_after_s)
@@ -200,7 +211,7 @@ class SlipguardRobot(Robot):
 
     def _read_state(self) -> dict[str, Any]:
         assert self._api is not None
-        self._state, self._read_at_s = self._api.state(), time.monotonic()
+        self._state, self._read_at_s = self._api.state(STATE_TIMEOUT_S), time.monotonic()
         return self._state
 
     def _recent_state(self) -> dict[str, Any]:
@@ -232,6 +243,24 @@ class SlipguardRobot(Robot):
         if not is_held(state):
             return 0.0
         return float(max(state["target_force_n"], (state["gripper"] or {}).get("force_n", 0.0)))
+
+
+def slip_key(name: str, index: int) -> str:
+    """Return the name of a feature. index: 0 for the newest estimate, 1 for the one before it, and so on."""
+    return f"slip.{name}" if index == 0 else f"slip.{index}.{name}"
+
+
+def slip_features(estimates: list[dict[str, Any]], count: int, now_s: float) -> dict[str, float]:
+    """Return the features of the newest `count` of some estimates, oldest first."""
+    stale = not estimates or now_s - estimates[-1]["captured_at_s"] > ESTIMATE_MAX_AGE_S
+    features = {}
+    for index in range(count):
+        one = estimates[-1 - index] if index < len(estimates) and not stale else None
+        values = (0.0, 0.0, 0.0, 0.0)
+        if one is not None and one["rotation_deg"] is not None:
+            values = (1.0, one["rotation_deg"], one["sigma_deg"], 1000.0 * (now_s - one["captured_at_s"]))
+        features |= {slip_key(name, index): value for name, value in zip(SLIP, values, strict=True)}
+    return features
 
 
 def _is_finite(value: Any) -> bool:

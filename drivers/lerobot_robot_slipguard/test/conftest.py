@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "slipguard_client" / "test"))
 
-from processes import Daemon, EmulatedCell
+from daemon_processes import Daemon, EmulatedCell
 
 
 @pytest.fixture(scope="session")
@@ -32,12 +33,12 @@ def slipguard_python() -> str:
 @pytest.fixture(scope="module")
 def daemon(slipguard_python: str, folder: Path) -> Iterator[Daemon]:
     """A daemon, calibrated, with an object between the open jaws."""
-    with Daemon(slipguard_python, folder / "daemon") as running:
+    with Daemon(slipguard_python, folder / "daemon", mode="guard") as running:
         yield running
 
 
 @pytest.fixture(scope="session")
 def cell(slipguard_python: str, folder: Path) -> Iterator[EmulatedCell]:
     """An emulated cell and its daemon, calibrated, with an object between the open jaws."""
-    with EmulatedCell(slipguard_python, folder / "cell") as running:
+    with EmulatedCell(slipguard_python, folder / "cell", mode="guard") as running:
         yield running

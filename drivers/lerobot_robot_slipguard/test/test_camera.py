@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from daemon_processes import Daemon, EmulatedCell, wait_until
 from lerobot.cameras import Camera
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.utils.errors import DeviceAlreadyConnectedError, DeviceNotConnectedError
 from PIL import Image
-from processes import Daemon, EmulatedCell, wait_until
 
-from lerobot_camera_slipguard import DaemonUnreachable, SlipguardCamera, SlipguardCameraConfig, StaleFrame
+from lerobot_camera_slipguard import SlipguardCamera, SlipguardCameraConfig, StaleFrame
+from slipguard_client import DaemonUnreachable
 
 SHAPE = (320, 240, 3)
 
@@ -51,7 +52,7 @@ def test_images_are_new_rgb_and_as_captured(cell: EmulatedCell, rendered: Camera
     images = [camera.read(), camera.async_read(), camera.read_latest()]
     assert all(image.shape == SHAPE and image.dtype == np.uint8 for image in images)
     assert np.any(images[0] != images[1]), "each read waits for a new image: the camera's noise differs"
-    reference = as_rgb(cell.api._response("GET", "/frame/left").content)  # decoded by another library
+    reference = as_rgb(cell.api.get("/frame/left")[0])  # decoded by another library
     apart = [np.abs(reference - one.astype(float)).mean() for one in (images[2], images[2][..., ::-1])]
     assert apart[0] < 5.0 < apart[1], "red, green, blue"
 

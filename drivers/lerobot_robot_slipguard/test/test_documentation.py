@@ -10,9 +10,9 @@ from typing import Any
 import draccus
 import pytest
 import scripted  # noqa: F401 - registers the arm
+from daemon_processes import EmulatedCell
 from lerobot.scripts.lerobot_record import RecordConfig
 from lerobot.utils.import_utils import register_third_party_plugins
-from processes import EmulatedCell
 
 from lerobot_camera_slipguard import SlipguardCameraConfig
 from lerobot_robot_slipguard import SlipguardRobotConfig

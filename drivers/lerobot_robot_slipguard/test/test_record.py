@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from daemon_processes import OPEN_MM, EmulatedCell
 from lerobot.cameras import CameraConfig
 from lerobot.configs import FeatureType
 from lerobot.datasets import LeRobotDataset
@@ -22,11 +23,11 @@ from lerobot.policies.factory import make_pre_post_processors
 from lerobot.robots import RobotConfig
 from lerobot.utils.feature_utils import dataset_to_policy_features
 from lerobot.utils.import_utils import register_third_party_plugins
-from processes import OPEN_MM, EmulatedCell
 
 EPISODES, FPS = 10, 10
 EPISODE_S, RESET_S = 4.5, 0.8
-NAMES = ["shoulder.pos", "elbow.pos", "gripper.pos", "slip.rotation_deg", "slip.sigma_deg", "grip.force_n"]
+SLIP = [f"slip.{index}{name}" for index in ("", "1.") for name in ("valid", "rotation_deg", "sigma_deg", "age_ms")]
+NAMES = ["shoulder.pos", "elbow.pos", "gripper.pos", "grip.force_n", *SLIP]
 CHUNK = 8
 TIMEOUT_S = 240.0
 
@@ -75,7 +76,12 @@ def recorded(cell: EmulatedCell, folder: Path) -> Iterator[Path]:
     command = [
         *(sys.executable, "-m", "lerobot.scripts.lerobot_record", "--robot.discover_packages_path=scripted"),
         *("--robot.type=slipguard", "--robot.arm={type: scripted_arm}", f"--robot.cameras={cameras}"),
-        *(f"--robot.socket={cell.socket}", "--teleop.type=scripted_person", f"--teleop.period_s={period_s}"),
+        *(
+            f"--robot.socket={cell.socket}",
+            "--robot.estimates=2",
+            "--teleop.type=scripted_person",
+            f"--teleop.period_s={period_s}",
+        ),
         *("--teleop.closed_s=0.2", f"--teleop.opened_s={EPISODE_S - 0.6}", "--dataset.repo_id=test/gel"),
         *(f"--dataset.root={root}", f"--dataset.fps={FPS}", f"--dataset.num_episodes={EPISODES}"),
         *(f"--dataset.episode_time_s={EPISODE_S}", f"--dataset.reset_time_s={RESET_S}"),
@@ -110,11 +116,12 @@ def test_lerobots_loader_reads_all_episodes(recorded: Path) -> None:
     assert dataset.features["action"]["names"] == NAMES[:3]
     states = torch.stack(list(dataset.hf_dataset.select_columns("observation.state")["observation.state"]))
     assert states.isfinite().all()
-    force_n, sigma_deg = states[:, 5], states[:, 4]
+    force_n, valid, sigma_deg = states[:, 3], states[:, 4] > 0.5, states[:, 6]
     assert force_n.min() == 0.0
     assert force_n.max() > 30.0
-    assert (sigma_deg == 180.0).any(), "no estimate while the jaws are open"
-    assert (sigma_deg < 10.0).any(), "an estimate while they hold"
+    assert (~valid).any(), "no estimate while the jaws are open"
+    assert (sigma_deg[valid] > 0.0).all()
+    assert sigma_deg[valid].median() < 10.0, "an estimate while they hold"
     image = dataset[len(dataset) // 2]["observation.images.gel_left"]
     assert image.shape == (3, 320, 240)
     assert 0.0 < image.mean() < 1.0

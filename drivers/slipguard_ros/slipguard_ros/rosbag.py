@@ -23,8 +23,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from slipguard_ros.readings import rotation_of
-
 VERSION = 8
 """Of the bag's metadata: read by Humble and every newer version."""
 COMPRESSED, TEXT, LOG = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String", "rcl_interfaces/msg/Log"
@@ -121,16 +119,17 @@ def _add_json(bag: BagWriter, topic: str, at_ns: int, text: str) -> None:
 def _add_readings(bag: BagWriter, at_ns: int, observation: dict[str, Any]) -> None:
     """Write rotation and jaws of a control step as the node publishes them."""
     header, gripper = bag.header(at_ns, "grasp"), observation.get("gripper")
-    rotation = rotation_of({"rotation": observation.get("fused")})
+    rotation = observation.get("fused")
     if gripper:
         none = np.zeros(0)
         position, effort = np.array([gripper["width_mm"] / 1000.0]), np.array([float(gripper["force_n"])])
         fields = {"name": ["slipguard_jaws"], "position": position, "velocity": none, "effort": effort}
         bag.add("/slipguard/joint_states", JOINTS, at_ns, header=header, **fields)
-    if rotation is not None:
-        covariance = np.zeros(36)
-        covariance[35] = rotation.sigma_rad**2
-        sine, cosine = math.sin(rotation.rotation_rad / 2.0), math.cos(rotation.rotation_rad / 2.0)
+    if rotation and rotation["rotation_deg"] is not None:
+        covariance, half_rad = np.zeros(36), math.radians(rotation["rotation_deg"]) / 2.0
+        covariance[[0, 7, 14, 21, 28]] = -1.0  # not measured
+        covariance[35] = math.radians(rotation["sigma_deg"]) ** 2
+        sine, cosine = math.sin(half_rad), math.cos(half_rad)
         orientation = bag.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=sine, w=cosine)
         origin = bag.make("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0)
         pose = bag.make("geometry_msgs/msg/Pose", position=origin, orientation=orientation)

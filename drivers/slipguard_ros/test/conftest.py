@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
-import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "slipguard_client" / "test"))
 
 import pytest
-from ros_client import RosClient
-from rosprocesses import NodeProcess, SimulatedDaemon
+from daemon_processes import Daemon
+from ros_client import NodeProcess, RosClient
 
 
 @pytest.fixture(scope="session")
@@ -33,15 +34,14 @@ def slipguard_python() -> str:
 
 
 @pytest.fixture(scope="session")
-def daemon(folder: Path, slipguard_python: str) -> Iterator[SimulatedDaemon]:
+def daemon(folder: Path, slipguard_python: str) -> Iterator[Daemon]:
     """A daemon, calibrated."""
-    with SimulatedDaemon(slipguard_python, folder) as running:
-        running.api.submit("calibrate", {}, 40.0)
+    with Daemon(slipguard_python, folder / "daemon") as running:
         yield running
 
 
 @pytest.fixture
-def node(daemon: SimulatedDaemon) -> Iterator[NodeProcess]:
+def node(daemon: Daemon) -> Iterator[NodeProcess]:
     """The node, active."""
     with NodeProcess(daemon.socket) as running:
         yield running
@@ -61,9 +61,3 @@ def emptied(request: pytest.FixtureRequest) -> Iterator[None]:
     yield
     if "daemon" in request.fixturenames:
         request.getfixturevalue("daemon").release()
-
-
-def pytest_report_header() -> str:
-    """Show which ROS is tested."""
-    found = subprocess.run(["uname", "-r"], capture_output=True, text=True, check=False).stdout.strip()
-    return f"ROS domain {os.environ['ROS_DOMAIN_ID']}, Linux {found}"

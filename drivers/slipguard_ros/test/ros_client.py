@@ -1,25 +1,32 @@
-"""A ROS client of the node, which spins in a thread."""
+"""The node as a process, and a ROS client that spins in a thread."""
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections import defaultdict
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image, JointState
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from slipguard_ros.interfaces import SERVICES
+
+from slipguard_ros_interfaces.msg import SlipEstimate, State
 
 TOPICS: dict[str, tuple[Any, Any]] = {
-    "/slipguard/state": (String, 10),
+    "/slipguard/state": (State, 10),
+    "/slipguard/slip": (SlipEstimate, 10),
     "/slipguard/rotation": (PoseWithCovarianceStamped, 10),
     "/slipguard/grip_force": (WrenchStamped, 10),
     "/slipguard/joint_states": (JointState, 10),
@@ -27,17 +34,53 @@ TOPICS: dict[str, tuple[Any, Any]] = {
     "/slipguard/right/image_raw": (Image, qos_profile_sensor_data),
     "/diagnostics": (DiagnosticArray, 10),
 }
+WITHOUT_INTERFACES = (
+    "import sys; sys.modules['slipguard_ros_interfaces'] = None; from slipguard_ros.node import main; main()"
+)
+
+
+class NodeProcess:
+    """The node, `slipguard_node`. typed: False: as where slipguard_ros_interfaces is not installed."""
+
+    def __init__(
+        self, socket_path: str, *parameters: str, parameter_file: Path | None = None, typed: bool = True
+    ) -> None:
+        words = [] if parameter_file is None else ["--params-file", str(parameter_file)]
+        words += [word for one in (f"socket:={socket_path}", *parameters) for word in ("-p", one)]
+        program = ["-m", "slipguard_ros.node"] if typed else ["-c", WITHOUT_INTERFACES]
+        self._command = [sys.executable, *program, "--ros-args", *words]
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> NodeProcess:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._process is not None
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)  # as ros2 launch does
+        assert self._process.wait(20.0) == 0, "the node did not end cleanly"
+
+    def start(self) -> None:
+        """Start it; does not wait."""
+        self._process = subprocess.Popen(self._command)
+
+    def kill(self) -> None:
+        """End it at once."""
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait(20.0)
 
 
 class RosClient:
     """received: for each topic, the time at which a message was received, its age in seconds, and the message."""
 
-    def __init__(self) -> None:
+    def __init__(self, topics: dict[str, tuple[Any, Any]] = TOPICS) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node("test_client", context=self._context)
         self.received: dict[str, list[tuple[float, float, Any]]] = defaultdict(list)
-        for topic, (kind, qos) in TOPICS.items():
+        for topic, (kind, qos) in topics.items():
             self.node.create_subscription(kind, topic, partial(self._receive, topic), qos)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -61,30 +104,20 @@ class RosClient:
         """Return the newest message of a topic."""
         return self.received[topic][-1][2]
 
-    def rate_hz(self, topic: str) -> float:
-        """Return the rate at which a topic's messages were received."""
-        times_s = [one[0] for one in self.received[topic]]
-        return (len(times_s) - 1) / (times_s[-1] - times_s[0]) if len(times_s) > 1 else 0.0
-
-    def age_s(self, topic: str) -> float:
-        """Return the median age of a topic's messages."""
-        ages_s = sorted(one[1] for one in self.received[topic])
-        return ages_s[len(ages_s) // 2]
+    def result(self, future: Any) -> Any:
+        """Wait for a future and return its result."""
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        assert done.wait(60.0), "no response"
+        return future.result()
 
     def call(self, name: str, **fields: Any) -> Any:
         """Call a service of the node; return its response."""
-        kind = {"guard": SetBool, "change_state": ChangeState, "get_state": GetState}.get(name, Trigger)
+        kind = {"change_state": ChangeState, "get_state": GetState, **SERVICES}[name]
         client = self.node.create_client(kind, f"/slipguard/{name}")
         try:
             assert client.wait_for_service(30.0), f"no service {name}"
-            done = threading.Event()
-            request = kind.Request()
-            for key, value in fields.items():
-                setattr(request, key, value)
-            future = client.call_async(request)
-            future.add_done_callback(lambda _: done.set())
-            assert done.wait(40.0), f"no response of {name}"
-            return future.result()
+            return self.result(client.call_async(kind.Request(**fields)))
         finally:
             self.node.destroy_client(client)
 
@@ -97,3 +130,24 @@ class RosClient:
     def lifecycle(self) -> str:
         """Return the lifecycle state of the node."""
         return str(self.call("get_state").current_state.label)
+
+
+class Goals:
+    """Sends goals to an action of the node. feedback: all that was received."""
+
+    def __init__(self, ros: RosClient, kind: Any, name: str) -> None:
+        self.ros, self.kind = ros, kind
+        self.client = ActionClient(ros.node, kind, f"/slipguard/{name}")
+        assert self.client.wait_for_server(30.0)
+        self.feedback: list[Any] = []
+
+    def send(self, goal: Any) -> Any:
+        """Send a goal; return its handle."""
+        handle = self.ros.result(self.client.send_goal_async(goal, lambda one: self.feedback.append(one.feedback)))
+        assert handle.accepted
+        return handle
+
+    def run(self, goal: Any) -> tuple[int, Any]:
+        """Send a goal and return its status and result."""
+        response = self.ros.result(self.send(goal).get_result_async())
+        return response.status, response.result

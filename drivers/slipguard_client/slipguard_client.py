@@ -1,4 +1,10 @@
-"""Client of slipguard's local API on its Unix socket: requests, and streams of messages. Standard library only."""
+"""Client of slipguard's local API, for programs that cannot import slipguard: ROS 2 and LeRobot bring their own Python
+and their own OpenCV. Standard library only, Python 3.10 or newer.
+
+    api = LocalApi()                                 # the daemon that runs on this machine
+    print(api.submit("grasp", {"force_n": 40}))      # requests: `slipguard ctl --help`
+    stream = StreamThread(api, "/estimates", lambda message: print(json.loads(message)), print)
+"""
 
 from __future__ import annotations
 
@@ -11,24 +17,55 @@ import socket
 import struct
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 SYSTEM_SOCKET = "/run/slipguard/slipguard.sock"
 """Of the daemon that systemd runs."""
+FINGERS = ("left", "right")
+REQUEST_TIMEOUT_S = 6.0
+SLOW_REQUESTS_S = {"calibrate": 35.0, "activate": 25.0}
 CONNECT_TIMEOUT_S = 5.0
 STREAM_TIMEOUT_S = 45.0
 """The daemon sends a ping every 20 s."""
 RETRY_S = 0.5
 MESSAGE_MAX_BYTES = 4 * 1024 * 1024
 TEXT, BINARY, CLOSE, PING, PONG = 1, 2, 8, 9, 10
+FRAME_HEADER = struct.Struct("<4sHHIdQ")
+FRAME_MAGIC = b"SGF1"
 
 
-class DaemonUnreachable(Exception):
+class DaemonUnreachable(ConnectionError):
     """No daemon responds at the socket; str() says what to do."""
 
 
-class RequestRefused(Exception):
+class RequestRefused(RuntimeError):
     """The daemon refused a request; str() is the daemon's reason."""
+
+
+@dataclass(frozen=True)
+class GelImage:
+    """One captured frame.
+
+    pixels: rows from top to bottom, B, G, R for each pixel. captured_at_s: on this machine's monotonic clock.
+    """
+
+    width_px: int
+    height_px: int
+    captured_at_s: float
+    sequence: int
+    pixels: memoryview
+
+
+def parse_frame(message: bytearray) -> GelImage:
+    """Return the frame in a message of the stream `/frames/{finger}`. Raises ValueError if it is not one."""
+    if len(message) < FRAME_HEADER.size:
+        raise ValueError(f"a message of {len(message)} bytes is not a frame")
+    magic, width, height, size, captured_at_s, sequence = FRAME_HEADER.unpack_from(message)
+    pixels = memoryview(message)[FRAME_HEADER.size :]
+    if magic != FRAME_MAGIC or len(pixels) != size or size != 3 * width * height:
+        raise ValueError(f"{magic!r}, {width} x {height} pixels in {len(pixels)} bytes is not a frame")
+    return GelImage(width, height, captured_at_s, sequence, pixels)
 
 
 def default_sockets() -> tuple[str, ...]:
@@ -38,47 +75,56 @@ def default_sockets() -> tuple[str, ...]:
 
 
 class LocalApi:
-    """socket_path: the daemon's Unix socket; empty: the first of `default_sockets` that responds, from then on."""
+    """Requests to one daemon; usable from several threads.
+
+    socket_path: the daemon's Unix socket; empty: the first of `default_sockets` that responds, from then on.
+    Methods raise DaemonUnreachable, or RequestRefused with the daemon's reason.
+    """
 
     def __init__(self, socket_path: str = "") -> None:
         self._candidates = (socket_path,) if socket_path else default_sockets()
         self.socket_path = self._candidates[-1]
 
-    def state(self) -> dict[str, Any]:
-        """Return the complete state. Raises DaemonUnreachable."""
-        return self._request("GET", "/state", None, 5.0)
+    def state(self, timeout_s: float = REQUEST_TIMEOUT_S) -> dict[str, Any]:
+        """Return the complete state; it is at most 0.1 s old."""
+        state: dict[str, Any] = json.loads(self.get("/state", timeout_s)[0])
+        return state
 
-    def submit(self, kind: str, fields: dict[str, Any], timeout_s: float = 6.0) -> str:
-        """Send one request, such as `lift`; return the daemon's message.
+    def submit(self, kind: str, fields: dict[str, Any] | None = None) -> str:
+        """Send one request, such as `lift`; return the daemon's message. A field that is None is left out."""
+        body = json.dumps({key: value for key, value in (fields or {}).items() if value is not None})
+        content, _ = self._request("POST", f"/{kind}", body, SLOW_REQUESTS_S.get(kind, REQUEST_TIMEOUT_S))
+        return str(json.loads(content).get("message", ""))
 
-        Raises:
-            RequestRefused: with the daemon's reason.
-            DaemonUnreachable: if no daemon responds in time.
-        """
-        return str(self._request("POST", f"/{kind}", fields, timeout_s).get("message", ""))
+    def get(self, path: str, timeout_s: float = REQUEST_TIMEOUT_S) -> tuple[bytes, http.client.HTTPMessage]:
+        """Return content and headers of a path, such as `/image/left`."""
+        return self._request("GET", path, None, timeout_s)
 
     def open_stream(self, path: str) -> MessageStream:
-        """Open a stream: `/live` or `/frames/{finger}`. Raises DaemonUnreachable."""
+        """Open a stream: `/live`, `/estimates` or `/frames/{finger}`."""
         return MessageStream(self._connect(CONNECT_TIMEOUT_S), path)
 
-    def _request(self, method: str, path: str, fields: dict[str, Any] | None, timeout_s: float) -> dict[str, Any]:
+    def _request(
+        self, method: str, path: str, body: str | None, timeout_s: float
+    ) -> tuple[bytes, http.client.HTTPMessage]:
         connection = http.client.HTTPConnection("slipguard")
         connection.sock = self._connect(timeout_s)
         try:
-            body = None if fields is None else json.dumps(fields)
             connection.request(method, path, body, {"content-type": "application/json"})
             response = connection.getresponse()
-            content = json.loads(response.read())
-        except (OSError, http.client.HTTPException, ValueError) as error:
+            content = response.read()
+        except (OSError, http.client.HTTPException) as error:
             raise DaemonUnreachable(
                 f"no response to {path} from the daemon at {self.socket_path} within {timeout_s:g} s ({error!r})"
             ) from None
         finally:
             connection.close()
-        if response.status != 200 or not isinstance(content, dict):
-            reason = content.get("error") if isinstance(content, dict) else None
-            raise RequestRefused(reason or f"HTTP {response.status}")
-        return content
+        if response.status != 200:
+            reason = f"HTTP {response.status}"
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                reason = str(json.loads(content)["error"])
+            raise RequestRefused(reason)
+        return content, response.headers
 
     def _connect(self, timeout_s: float) -> socket.socket:
         for path in self._candidates[:-1]:
@@ -93,10 +139,10 @@ class LocalApi:
             made.connect(path)
         except OSError as error:
             made.close()
-            hint = "start it with `slipguard run`, or set the parameter `socket`"
+            hint = "start it with `slipguard run`, or set `socket` to the path that `slipguard ctl` uses"
             if isinstance(error, PermissionError):
-                hint = "run the node as root, as the daemon's user, or as a member of the group dialout"
-            raise DaemonUnreachable(f"no daemon at {path} ({error.strerror or error}); {hint}") from None
+                hint = "run this program as root, as the daemon's user, or as a member of the group dialout"
+            raise DaemonUnreachable(f"no slipguard daemon at {path} ({error.strerror or error}); {hint}") from None
         # No request may reach another daemon later, such as a real cell's after a simulated one has ended.
         self.socket_path, self._candidates = path, (path,)
         return made
@@ -170,7 +216,7 @@ class StreamThread:
     """
 
     def __init__(
-        self, api: LocalApi, path: str, on_message: Callable[[bytearray], None], on_lost: Callable[[str], None]
+        self, api: LocalApi, path: str, on_message: Callable[[bytearray], object], on_lost: Callable[[str], object]
     ) -> None:
         self._api, self._path = api, path
         self._on_message, self._on_lost = on_message, on_lost
@@ -185,7 +231,8 @@ class StreamThread:
         stream = self._stream
         if stream is not None:
             stream.close()
-        self._thread.join(timeout=2 * CONNECT_TIMEOUT_S)
+        if self._thread is not threading.current_thread():
+            self._thread.join(timeout=2 * CONNECT_TIMEOUT_S)
 
     def _run(self) -> None:
         while not self._stopped.is_set():

@@ -1,31 +1,25 @@
-"""The ROS package as far as it needs no ROS: its client of the local API, and the readings that it publishes."""
+"""The client of the local API that the ROS 2 and LeRobot packages use, which needs nothing of slipguard."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import math
+import socket
 import struct
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from fake_daemon_api import FakeDaemonApi, served
 
-from drivers.slipguard_ros.slipguard_ros.local_api import (
+from drivers.slipguard_client import slipguard_client
+from drivers.slipguard_client.slipguard_client import (
     DaemonUnreachable,
     LocalApi,
     RequestRefused,
     StreamThread,
-)
-from drivers.slipguard_ros.slipguard_ros.readings import (
-    ERROR,
-    OK,
-    WARN,
-    JawJoint,
-    device_statuses,
     parse_frame,
-    rotation_of,
 )
 from slipguard.daemon.api.requests import GuardRequest, LiftRequest, ReleaseRequest
 from slipguard.errors import CommandRefused
@@ -38,7 +32,7 @@ async def test_requests_reach_the_daemon_and_its_reasons_come_back(tmp_path: Pat
     async with served(daemon, tmp_path / "s") as path:
         api = LocalApi(str(path))
         assert (await asyncio.to_thread(api.state))["phase"] == "holding"
-        assert await asyncio.to_thread(api.submit, "lift", {}) == "lift: done"
+        assert await asyncio.to_thread(api.submit, "lift", {"height_mm": None}) == "lift: done"
         await asyncio.to_thread(api.submit, "guard", {"on": False})
         await asyncio.to_thread(api.submit, "release", {"confirm": True})
         with pytest.raises(RequestRefused, match="must be true"):
@@ -84,7 +78,7 @@ async def test_both_streams_deliver_and_return_after_the_daemon_did(tmp_path: Pa
 
 async def test_without_a_daemon_the_error_names_the_socket(tmp_path: Path) -> None:
     api = LocalApi(str(tmp_path / "none.sock"))
-    with pytest.raises(DaemonUnreachable, match=r"no daemon at .*none\.sock .*slipguard run"):
+    with pytest.raises(DaemonUnreachable, match=r"no slipguard daemon at .*none\.sock .*slipguard run"):
         api.state()
     async with served(FakeDaemonApi(), tmp_path / "s") as path:
         with pytest.raises(DaemonUnreachable, match="404"):
@@ -100,36 +94,44 @@ def test_a_damaged_frame_is_refused() -> None:
             parse_frame(bytearray(damaged))
 
 
-def test_readings_of_a_state() -> None:
-    state = FakeDaemonApi().snapshot()
-    rotation = rotation_of(state)
-    assert rotation is not None
-    assert rotation.rotation_rad == pytest.approx(math.radians(1.5))
-    assert rotation.sigma_rad == pytest.approx(math.radians(0.25))
-    assert rotation_of({"rotation": None}) is None
-    assert rotation_of({"rotation": {"rotation_deg": None, "sigma_deg": None}}) is None
+@pytest.fixture
+def sockets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """Paths of the user's and of the system's socket; the user's daemon was killed, so its file exists."""
+    own, system = tmp_path / "slipguard" / "slipguard.sock", tmp_path / "slipguard.sock"
+    own.parent.mkdir()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    monkeypatch.setattr(slipguard_client, "SYSTEM_SOCKET", str(system))
+    with closing(socket.socket(socket.AF_UNIX)) as killed:
+        killed.bind(str(own))
+    return own, system
 
 
-def test_the_jaw_joint_converts_both_ways() -> None:
-    joint = JawJoint("finger_joint", -0.8 / 0.085, 0.8)  # of a 2F-85
-    assert joint.position(85.0) == pytest.approx(0.0)
-    assert joint.position(0.0) == pytest.approx(0.8)
-    assert joint.width_mm(joint.position(31.0)) == pytest.approx(31.0)
+def listening(path: Path) -> socket.socket:
+    path.unlink(missing_ok=True)
+    made = socket.socket(socket.AF_UNIX)
+    made.bind(str(path))
+    made.listen()
+    return made
 
 
-def test_diagnostics_name_fault_waiting_and_devices() -> None:
-    state = FakeDaemonApi().snapshot()
-    state["devices"] = {
-        "left": {"state": "ready", "reason": None},
-        "arm": {"state": "disconnected", "reason": "no response"},
-    }
-    state["fingers"] = {"left": {"serial": "D1", "frames_per_s": 59.9, "counts": {"corrupt": 2}}}
-    guard, left, arm = device_statuses(state)
-    assert (guard.level, guard.message) == (OK, "holding, guarding")
-    assert (left.level, left.values["serial"], left.values["corrupt"]) == (OK, "D1", "2")
-    assert (arm.level, arm.message) == (ERROR, "no response")
-    waiting = device_statuses(state | {"waiting_for": ["arm: no response"]})[0]
-    assert (waiting.level, waiting.message) == (WARN, "arm: no response")
-    fault = {"code": "object lost", "observed": "no contact", "what_to_do": "release"}
-    faulty = device_statuses(state | {"fault": fault})[0]
-    assert (faulty.level, faulty.message) == (ERROR, "object lost: no contact. release")
+def socket_used(api: LocalApi) -> str:
+    """Return the socket of a request that gets no response."""
+    with pytest.raises(DaemonUnreachable):
+        api.state(0.05)
+    return api.socket_path
+
+
+def test_the_first_daemon_that_responds_is_used_from_then_on(sockets: tuple[Path, Path]) -> None:
+    own, system = sockets
+    with pytest.raises(DaemonUnreachable, match=f"no slipguard daemon at {system} .*slipguard run"):
+        LocalApi().state()
+    with closing(listening(system)):
+        api = LocalApi()
+        assert socket_used(api) == str(system)
+        with closing(listening(own)):
+            assert socket_used(api) == str(system), "no change of the daemon"
+            api = LocalApi()
+            assert socket_used(api) == str(own)
+            assert socket_used(LocalApi(str(system))) == str(system), "a given socket is the only one"
+        with pytest.raises(DaemonUnreachable, match=str(own)):
+            api.state()
