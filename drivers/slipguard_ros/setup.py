@@ -31,12 +31,14 @@ setup(
             "ros-kilted-std-srvs",
             "ros-kilted-lifecycle-msgs",
         ],
+        "demo": ["matplotlib"],
         "rosbag": ["rosbags>=0.10", "mcap>=1.2", "mcap-protobuf-support>=0.5", "lz4", "zstandard"],
     },
     entry_points={
         "console_scripts": [
             f"slipguard_node = {PACKAGE}.node:main",
             f"slipguard_call = {PACKAGE}.interfaces:main",
+            f"slipguard_ros_demo = {PACKAGE}.demo:main",
             f"slipguard_to_rosbag = {PACKAGE}.rosbag:main",
         ]
     },

@@ -11,27 +11,14 @@ from slipguard_demo import OPEN_MM, wait_until
 
 __all__ = ["OPEN_MM", "Daemon", "EmulatedCell", "wait_until"]
 LIGHT_DAEMON = Path(__file__).resolve().parents[3] / "tests" / "wire" / "light_daemon.py"
-PATIENT_GUARD = """watchdog_hz = 2
-[guard.tuning]  # for a busy machine
-frames_timeout_s = 5
-gripper_timeout_s = 5
-arm_timeout_s = 5
-cycle_timeout_s = 5
-tighten_effect_timeout_s = 8
-"""
 
 
 class EmulatedCell(slipguard_demo.EmulatedCell):
     """An emulated cell on a busy machine. python: the interpreter of slipguard's environment."""
 
-    def __init__(self, python: str, folder: Path, mode: str = "lift") -> None:
-        super().__init__([python, "-m", "slipguard"], folder, mode, "wrench 0", 20.0)
+    def __init__(self, python: str, folder: Path, mode: str = "lift", placed: str = "wrench 0") -> None:
+        super().__init__([python, "-m", "slipguard"], folder, mode, placed, 20.0)
         self.python, self.recordings = python, folder / "state" / "recordings"
-
-    def edited(self, config: str) -> str:
-        text = config.replace("[guard]\n", f"{PATIENT_GUARD}[guard]\n")
-        text = text.replace("[gripper.robotiq]\n", "[gripper.robotiq]\ntimeout_ms = 400\n")
-        return text.replace('.sock"\n', '.sock"\nstall_ms = 1000\n', 2)
 
     def grasp(self, **fields: Any) -> dict[str, Any]:
         """Grasp, and wait until the object is held; return the state."""

@@ -27,7 +27,7 @@ def test_grasp_and_lift_report_what_happens(daemon: Daemon, node: NodeProcess, r
     status, result = lift.run(Lift.Goal())
     assert (status, "cannot lift" in result.message) == (ABORTED, True), "nothing is held"
     status, result = grasp.run(Grasp.Goal(force=45.0))
-    assert (status, result.message, result.force) == (SUCCEEDED, "", 45.0)
+    assert (status, result.message, result.force) == (SUCCEEDED, "", pytest.approx(45.0, abs=1.0))
     assert result.width == pytest.approx(daemon.state()["gripper"]["width_mm"] / 1000.0, abs=0.001)
     assert {"closing"} <= {one.phase for one in grasp.feedback}
     status, result = lift.run(Lift.Goal(height=0.03, speed=0.02))
@@ -47,7 +47,7 @@ def test_cancelling_a_lift_stops_the_arm_and_keeps_the_grip(daemon: Daemon, node
     lift = Goals(ros, Lift, "lift_object")
     wait_until(lambda: "/slipguard/joint_states" in ros.received, "the node is active")
     handle = lift.send(Lift.Goal(height=0.15, speed=0.02))
-    wait_until(lambda: daemon.state()["lifted_mm"] > 10.0, "the arm lifts")
+    wait_until(lambda: (daemon.state()["lifted_mm"] or 0.0) > 10.0, "the arm lifts")
     response = ros.result(handle.cancel_goal_async())
     assert len(response.goals_canceling) == 1
     done = ros.result(handle.get_result_async())

@@ -11,9 +11,9 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from daemon_processes import Daemon
 from rclpy.serialization import deserialize_message
 from rosbags.rosbag2 import Reader
-from rosprocesses import SimulatedDaemon
 
 EXPECTED = {
     "/slipguard/left/image_raw/compressed": "sensor_msgs/msg/CompressedImage",
@@ -33,9 +33,8 @@ def message_type(name: str) -> type:
 
 
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
-def test_a_recording_becomes_a_bag(daemon: SimulatedDaemon, tmp_path: Path, storage: str) -> None:
-    daemon.api.submit("grasp", {})
-    daemon.wait_for("holding")
+def test_a_recording_becomes_a_bag(daemon: Daemon, tmp_path: Path, storage: str) -> None:
+    daemon.grasp()
     time.sleep(1.0)
     recording = max(daemon.recordings.rglob("*.mcap"), key=lambda path: path.stat().st_size)
     words = [str(recording), str(tmp_path / "bag"), "--storage", storage]
@@ -54,6 +53,7 @@ def test_a_recording_becomes_a_bag(daemon: SimulatedDaemon, tmp_path: Path, stor
     assert counts["/slipguard/tick"] > 50
     assert newest["/slipguard/left/image_raw/compressed"].format == "jpeg"
     assert bytes(newest["/slipguard/left/image_raw/compressed"].data[:2]) == b"\xff\xd8"
+    assert newest["/slipguard/rotation"].pose.covariance[0] == -1.0, "not measured"
     gripper = json.loads(newest["/slipguard/tick"].data)["observation"]["gripper"]
     assert newest["/slipguard/joint_states"].effort[0] == gripper["force_n"]
     assert newest["/slipguard/joint_states"].position[0] == pytest.approx(gripper["width_mm"] / 1000.0)

@@ -68,8 +68,8 @@ def rested_s(folder: Path) -> float:
 
 def test_it_ends_a_lift_within_60_ms(tmp_path: Path, slipguard_python: str, ros: RosClient) -> None:
     took_s = []
-    with EmulatedCell(slipguard_python, tmp_path) as cell, NodeProcess(cell.socket):
-        wait_until(lambda: ros.call("guard", data=True).success, "the node is active")
+    with EmulatedCell(slipguard_python, tmp_path, placed="bar 3") as cell, NodeProcess(cell.socket):
+        wait_until(lambda: "/slipguard/joint_states" in ros.received, "the node is active")
         cell.grasp(force_n=120.0)
         for _ in range(TIMES):
             wait_until(lambda: cell.state()["phase"] == "holding", "the object is held")
