@@ -17,20 +17,14 @@ class DeclineReason(StrEnum):
     """Why there is no rotation, or no shift."""
 
     NO_CONTACT = "no contact"
-    NO_REFERENCE = "no reference yet"
     NO_BACKGROUND = "no background image"
-    CHECKING_STORED_REFERENCE = "checking the stored reference"
+    NO_REFERENCE = "no reference yet"
     CONTACT_TOO_SMALL = "contact too small"
     CONTACT_CHANGED = "contact changed too much since the reference"
     ROUND = "round contact"
-    CLIPPED = "clipped by the frame"
-    NO_MIDDLE_LINE = "no straight middle line"
     UNCERTAIN = "too uncertain"
-    JUMP = "implausible jump"
     SEVERAL_ROTATIONS = "texture fits at several rotations"
     SHIFT_AMBIGUOUS = "periodic texture, shift ambiguous"
-    GEL_MEMORY = "gel shows an earlier imprint"
-    NOT_A_NUMBER = "not a number"
     IMAGE = "image unusable"
 
 

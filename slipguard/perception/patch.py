@@ -6,6 +6,7 @@ Regions of a rigid object rotate together, so all but the small ones form one pa
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import cv2
@@ -40,7 +41,7 @@ class ClippedSides:
         return self.left or self.top or self.right or self.bottom
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Patch:
     """The measured contact, at network resolution.
 
@@ -60,12 +61,12 @@ class Patch:
     frame_px: float
     clipped: ClippedSides
 
-    @property
+    @cached_property
     def area_px(self) -> int:
         """Area in frame pixels (240 x 320)."""
         return round(cv2.countNonZero(self.mask) * self.frame_px**2)
 
-    @property
+    @cached_property
     def center_px(self) -> tuple[float, float]:
         """Center of the mask in frame pixels, right and down."""
         m = cv2.moments(self.mask, True)

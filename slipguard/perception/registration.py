@@ -32,14 +32,13 @@ ITERATIONS_MAX = 8
 ROBUST = 2.5
 """Differences beyond this many times their r.m.s. are weighted less."""
 ALIKE_MIN = 0.5
-"""Smallest correlation of the reference's texture with the current one: real gels sheared by 1 mm reach 0.5."""
-VISIBLE_MIN = 0.45
-"""Smallest share of the reference's texture within the image."""
+"""Smallest correlation of the reference's texture with the current one, times the share of it within the image: real
+gels sheared by 1 mm reach 0.5."""
 CORRELATED = 30.0
 """Number of the template's points with the same error."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
 """Weak priors: rotation (rad), shift from the start (texture pixels), scale and gain (shares)."""
-_ROUND_PRIOR_STD = np.array([1e-6, 6.0, 6.0, 0.1, 0.5])
+_ROUND_PRIOR_STD = np.append(1e-6, _PRIOR_STD[1:])
 """The same for a round texture, whose rotation is held."""
 
 FLOOR_DEG = 0.05
@@ -49,17 +48,15 @@ DEFORMED = 0.035
 """A correlation this far below 1 doubles the spread's share. Fitted likewise."""
 LEAD_CORRECTION = 0.45
 """Share of the lead of the middle by which the rotation is corrected, fitted likewise."""
-LEAD_SIGMAS, LEAD_MAX_DEG = 1.5, 12.0
-"""A lead counts as far as it exceeds this many standard deviations of the blocks; a soft gel twists 9 to 17 degrees
-before it slips (see `slipguard.sim.gel_effects`)."""
+LEAD_SIGMAS = 1.5
+"""A lead counts as far as it exceeds this many standard deviations of the blocks."""
 
 GHOST_MODEL = 0.015
 """Share of the reference that other causes than memory leave of it in place: a ghost of which little is visible beside
 the motion is as uncertain as that."""
-GHOST_VISIBLE_MIN = 1e-4
-"""Part of the unmoved reference's square that no motion explains, below which a ghost looks like motion."""
 GHOST_SHOWN_MIN = 0.01
-"""The same, above which it is surely none: below, interpolation adds to it. A share of 0.65 reads 1.2 at 0.002, 0.8 at
+"""Part of the unmoved reference's square that no motion explains, above which a ghost is neither motion nor
+interpolation. A share of 0.65 reads 1.2 at 0.002, 0.8 at
 0.01, and 0.66 from 0.1 on."""
 
 _DIFFERENCE, _MOTION, _GAIN, _UNMOVED = 0, slice(1, MOTIONS + 1), MOTIONS, MOTIONS + 1
@@ -210,11 +207,11 @@ def _products(fields: Field, weight: Field) -> NDArray[np.float64]:
 
 
 def _declined(visible: float, alike: float) -> str | None:
-    if visible < VISIBLE_MIN:
-        return explain(DeclineReason.CLIPPED, f"{visible:.0%} of the texture is visible, limit {VISIBLE_MIN:.0%}")
-    if alike >= ALIKE_MIN:
+    """Return why a pose is none: too little of the texture is visible and alike. visible: its share in the image."""
+    if alike * visible >= ALIKE_MIN:
         return None
-    return explain(DeclineReason.CONTACT_CHANGED, f"texture correlates by {alike:.2f}, limit {ALIKE_MIN:.2f}")
+    detail = f"texture correlates by {alike:.2f} and {visible:.0%} of it is visible, limit of both {ALIKE_MIN:.2f}"
+    return explain(DeclineReason.CONTACT_CHANGED, detail)
 
 
 def _sample(template: TextureTemplate, texture_map: TextureMap, pose: TexturePose, values: Field) -> Field:
@@ -249,7 +246,7 @@ def _leads_deg(template: TextureTemplate, left: Field, rotation_deg: float) -> t
     for weights in template.local:
         parts = np.degrees(np.bincount(template.block, weights * left))
         lead, chance = -math.copysign(1.0, rotation_deg) * float(parts.sum()), LEAD_SIGMAS**2 * float(parts @ parts)
-        leads.append(min(math.sqrt(max(lead * lead - chance, 0.0)), LEAD_MAX_DEG) if lead > 0.0 else 0.0)
+        leads.append(math.sqrt(max(lead * lead - chance, 0.0)) if lead > 0.0 else 0.0)
     return leads[0], leads[1]
 
 
@@ -282,8 +279,6 @@ def find_ghost(products: NDArray[np.float64], mass: float) -> Ghost:
     whole = float(products[_UNMOVED, _UNMOVED])
     square = max(whole + float(explained @ (normal @ explained - 2.0 * unmoved)), 0.0) + 1e-9
     pull_deg = math.degrees(float(explained[0]))
-    if square < GHOST_VISIBLE_MIN * whole:
-        return Ghost(0.0, math.inf, pull_deg)
     found = float(products[_DIFFERENCE, _UNMOVED] - explained @ products[_MOTION, _DIFFERENCE])
     left2 = max(float(products[_DIFFERENCE, _DIFFERENCE]) - found**2 / square, 0.0) / max(mass, 1e-9)
     sigma = math.sqrt((CORRELATED * left2 + GHOST_MODEL**2 * whole) / square)

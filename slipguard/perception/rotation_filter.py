@@ -105,14 +105,14 @@ class RotationFilter:
             found: What registrations have found, at least one.
         """
         if not all(math.isfinite(one.rotation_deg) and math.isfinite(one.log_likelihood) for one in found):
-            return RotationEstimate(None, None, DeclineReason.NOT_A_NUMBER)
+            return RotationEstimate(None, None, explain(DeclineReason.UNCERTAIN, "not a number"))
         prior = {one: self._log_prior(now_s, one.rotation_deg) for one in found}
         best, *rest = sorted(found, key=lambda one: -(prior[one] + one.log_likelihood))
         away_deg = best.rotation_deg - self.predicted_deg(now_s)
         limit_deg = self.reach_deg(now_s) + JUMP_DEG
         if not self.others_deg and abs(away_deg) > limit_deg:
             detail = f"{away_deg:+.0f} deg from the expected rotation, limit {limit_deg:.0f} deg"
-            return RotationEstimate(None, None, explain(DeclineReason.JUMP, detail))
+            return RotationEstimate(None, None, explain(DeclineReason.UNCERTAIN, detail))
         highest = prior[best] + best.log_likelihood
         odds = sum(math.exp(prior[one] + one.log_likelihood - highest) for one in rest)
         ambiguous = odds > SECOND_MAX * (1.0 + odds)

@@ -78,76 +78,55 @@ class RotationMeasurement:
     shift: ShiftMeasurement | None
     orientation_deg: float | None
 
+    def plus(self, before: RotationMeasurement | None) -> RotationMeasurement:
+        """Add rotation and shift up to the present reference."""
+        if before is None:
+            return self
+        rotation, shift, earlier = self.rotation, self.shift, before.shift
+        if rotation.rotation_deg is not None:
+            rotation_deg = rotation.rotation_deg + (before.rotation.rotation_deg or 0.0)
+            sigma_deg = math.hypot(rotation.sigma_deg or 0.0, before.rotation.sigma_deg or 0.0)
+            rotation = RotationEstimate(rotation_deg, sigma_deg)
+        if shift is not None and earlier is not None and shift.shift_px is not None:
+            x, y = earlier.shift_px or (0.0, 0.0)
+            known = earlier.shift_px is not None
+            shift = replace(
+                shift,
+                shift_px=(shift.shift_px[0] + x, shift.shift_px[1] + y) if known else None,
+                period_px=shift.period_px or earlier.period_px,
+            )
+        return replace(self, rotation=rotation, shift=shift)
+
 
 class ReferenceSelector:
-    """Decides when a contact becomes the reference, and carries the rotation over when one replaces another.
-
-    Args:
-        first: Whether the first contact becomes the reference, stable or not.
-    """
+    """Decides when a contact becomes the reference. first: whether the first one does, stable or not."""
 
     def __init__(self, first: bool) -> None:
         self._first = first
         self._areas: deque[int] = deque(maxlen=STABLE_FRAMES)
         self._contact_since_s: float | None = None
-        self._carried: RotationMeasurement | None = None
         self.provisional = False
         """Whether the reference was not stable when it was taken, and may still be replaced."""
-
-    @property
-    def carried_deg(self) -> float:
-        """Rotation up to the present reference; 0 for the first one."""
-        return 0.0 if self._carried is None else self._carried.rotation.rotation_deg or 0.0
-
-    def carry(self, found: RotationMeasurement | None) -> None:
-        """Set the measurement up to the present reference; None for a first one."""
-        self._carried = found
 
     def note_no_contact(self) -> None:
         """Require a new run of stable frames for a reference that is not taken yet."""
         self._areas.clear()
         self._contact_since_s = None
 
-    def is_stable(self, patch: Patch) -> bool:
-        """Return whether a patch may become the reference."""
+    def accepts(self, patch: Patch, now_s: float, reference: Reference | None, rotation: RotationEstimate) -> bool:
+        """Return whether a patch becomes the reference; rotation: since the present one."""
         self._areas.append(patch.area_px)
-        if self._first:
-            return True
-        largest, smallest = max(self._areas), min(self._areas)
-        return len(self._areas) == STABLE_FRAMES and largest - smallest < STABLE_SHARE * largest
-
-    def waited(self, now_s: float) -> bool:
-        """Return whether the contact has lasted long enough for a reference although its area still changes."""
         if self._contact_since_s is None or now_s < self._contact_since_s:
             self._contact_since_s = now_s
-        return now_s - self._contact_since_s >= STABLE_WAIT_S
-
-    def outgrown(self, reference: Reference, rotation: RotationEstimate, patch: Patch, stable: bool) -> bool:
-        """Return whether a reference that was not stable is to be replaced by this patch, which has grown."""
-        if not self.provisional:
-            return False
-        if rotation.sigma_deg is None or rotation.sigma_deg > CARRIED_SIGMA_DEG:
+        largest, smallest = max(self._areas), min(self._areas)
+        stable = len(self._areas) == STABLE_FRAMES and largest - smallest < STABLE_SHARE * largest
+        if reference is None:
+            self.provisional = not (stable or self._first)
+            return not self.provisional or now_s - self._contact_since_s >= STABLE_WAIT_S
+        if not self.provisional or rotation.sigma_deg is None or rotation.sigma_deg > CARRIED_SIGMA_DEG:
             return False
         self.provisional = not stable
         return patch.area_px > GROWN * reference.patch.area_px
-
-    def with_carried(self, found: RotationMeasurement) -> RotationMeasurement:
-        """Add the rotation up to the present reference."""
-        if self._carried is None:
-            return found
-        rotation, before = found.rotation, self._carried.rotation
-        before_deg, before_sigma_deg = before.rotation_deg or 0.0, before.sigma_deg or 0.0
-        if rotation.rotation_deg is not None and rotation.sigma_deg is not None:
-            sigma_deg = math.hypot(rotation.sigma_deg, before_sigma_deg)
-            rotation = replace(rotation, rotation_deg=rotation.rotation_deg + before_deg, sigma_deg=sigma_deg)
-        shift, before_shift = found.shift, self._carried.shift
-        if shift is not None and before_shift is not None:
-            if before_shift.shift_px is None:
-                shift = replace(shift, shift_px=None, period_px=shift.period_px or before_shift.period_px)
-            elif shift.shift_px is not None:
-                (dx, dy), (before_x, before_y) = shift.shift_px, before_shift.shift_px
-                shift = replace(shift, shift_px=(dx + before_x, dy + before_y))
-        return replace(found, rotation=rotation, shift=shift)
 
 
 class RotationMeter:
@@ -172,13 +151,15 @@ class RotationMeter:
         self._reader = TextureMapReader(background, noise_bgr) if registers and background is not None else None
         self._rotations = RotationFilter()
         self._choice = ReferenceSelector(settings.reference == "first")
+        self._carried: RotationMeasurement | None = None
+        """Rotation and shift from the first reference to the present one; None for the first one."""
         self._segmented: tuple[float, Registration] | None = None
         self._tracked: tuple[float, TrackedTexture] | None = None
 
     @property
     def carried_deg(self) -> float:
         """Rotation up to the present reference, which is part of every rotation; 0 for the first reference."""
-        return self._choice.carried_deg
+        return 0.0 if self._carried is None else self._carried.rotation.rotation_deg or 0.0
 
     def rate_deg_s(self, now_s: float) -> float | None:
         """Return the rotation rate at `now_s`; None if unknown."""
@@ -205,20 +186,14 @@ class RotationMeter:
             now_s: Its capture time.
             mark: Called at the end of a stage with its name.
         """
-        choice = self._choice
-        stable = choice.is_stable(patch)
+        found = RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, None)
         if self.reference is not None:
             found = self._measure(self.reference, image, patch, now_s, mark)
-            if not choice.outgrown(self.reference, found.rotation, patch, stable):
-                return choice.with_carried(found)
-            choice.carry(choice.with_carried(found))
-        elif stable or choice.waited(now_s):
-            choice.carry(None)
-        else:
-            return RotationMeasurement(RotationEstimate(None, None, DeclineReason.NO_REFERENCE), None, None)
-        reference = self.take_reference(image, patch, now_s, mark)
-        choice.provisional = not stable
-        return choice.with_carried(self._measure(reference, image, patch, now_s, mark))
+        if self._choice.accepts(patch, now_s, self.reference, found.rotation):
+            self._carried = None if self.reference is None else found
+            reference = self.take_reference(image, patch, now_s, mark)
+            found = self._measure(reference, image, patch, now_s, mark)
+        return found
 
     def measure_texture(self, image: NDArray[np.uint8], patch: Patch, now_s: float) -> RotationMeasurement | None:
         """Measure by the texture alone, in the contact of an earlier frame; None if that is not enough.
@@ -240,12 +215,11 @@ class RotationMeter:
             found.best.alike < then.alike - ALIKE
             or abs(pose.rotation_deg - last.rotation_deg) > ROTATION_DEG
             or math.hypot(pose.dx_px - last.dx_px, pose.dy_px - last.dy_px) > SHIFT_PX
-            or (found.smooth is not None and now_s - segmented_s > SMOOTH_S)
+            or (reference.texture.smooth and now_s - segmented_s > SMOOTH_S)
         ):
             return None
         reference.prepare()  # this frame takes little time
-        measured = self._checked(reference, found.rotation, reference.shift.follow(now_s, found))
-        return self._choice.with_carried(measured)
+        return self._checked(reference, found.rotation, now_s, found, None)
 
     def take_reference(
         self,
@@ -297,7 +271,7 @@ class RotationMeter:
         else:
             rotation = self._rotation_of_axis(reference, self._axis(patch, mark), now_s)
         mark("relief")  # the texture; the name is a key of the JSON of `bench`
-        return self._checked(reference, rotation, reference.shift.measure(now_s, patch, found))
+        return self._checked(reference, rotation, now_s, found, patch)
 
     def _axis(self, patch: Patch, mark: Mark) -> AxisEstimate:
         axis = estimate_axis(patch, self._axis_estimator, self._settings.round_aspect)
@@ -318,9 +292,14 @@ class RotationMeter:
         return found if found.rotation_deg is None else replace(found, sigma_deg=rotation.sigma_deg)
 
     def _checked(
-        self, reference: Reference, rotation: RotationEstimate, shift: ShiftMeasurement
+        self,
+        reference: Reference,
+        rotation: RotationEstimate,
+        now_s: float,
+        found: TrackedTexture | None,
+        patch: Patch | None,
     ) -> RotationMeasurement:
-        """Decline a rotation that is too uncertain, and return the shift at the grasp axis."""
+        """Return rotation, unless too uncertain, and shift since the first reference. patch: None if not segmented."""
         limit = self._settings.sigma_max_deg
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"
@@ -328,5 +307,6 @@ class RotationMeter:
         orientation_deg = None
         if reference.axis.angle_deg is not None and rotation.rotation_deg is not None:
             orientation_deg = wrap_axial_deg(reference.axis.angle_deg + rotation.rotation_deg)
-        # While the rotation is declined, the axis is taken to be where it last was: a jump would look like a slip.
-        return RotationMeasurement(rotation, reference.shift.at_axis(shift, self._rotations.last_deg), orientation_deg)
+        # While the rotation is declined, it is taken to be the last one: a jump would look like a slip.
+        shift = reference.shift.measure(now_s, self._rotations.last_deg, found, patch)
+        return RotationMeasurement(rotation, shift, orientation_deg).plus(self._carried)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -23,25 +23,19 @@ from slipguard.perception.estimate import DeclineReason
 from slipguard.perception.patch import Patch
 from slipguard.perception.texture_map import REDUCTION
 from slipguard.perception.texture_template import TextureTemplate
-from slipguard.perception.texture_tracker import TrackedTexture, rotated
+from slipguard.perception.texture_tracker import TrackedTexture
 
 PERIOD_MIN_PX, PERIOD_MAX_PX = 4, 44
 """Searched periods, texture pixels: 0.4 to 4.7 mm."""
 OVERLAP_MIN = 0.65
 """Smallest share of the texture that must overlap with itself: two edges of a bar are no period."""
-SLIDE_S = 0.1
-SLIDE_PX = 5.5
-SLIDE_SHARE = 0.25
-"""A periodic texture slides if it moves within SLIDE_S by SLIDE_PX (frame pixels; 3 mm/s), or by this share of its
-period: what looks like part of a period may be several."""
-SMEARED = 0.1
-"""It also slides if it is smeared: its correlation with the reference changes by this within SLIDE_S."""
 PERIODIC_SHARE = 0.33
 """A texture is periodic if its mean square difference from itself falls below this share of the highest on the way."""
-CENTER_PX, END_PX = 6.0, 12.0
-"""The ends of a contact are measured if its center has moved by this much more than its texture (frame pixels), or both
-by this much while the frame cuts the contact. They count if they have moved by this much more than the texture: a fast
-shaft moves further in a frame than its texture is searched."""
+SLIDE_S, SLIDE_SHARE, SMEARED = 0.1, 0.25, 0.1
+"""A periodic texture slides if it moves within this time by this share of its period, for that may be several periods,
+or is smeared: its correlation with the reference changes by this."""
+END_PX = 12.0
+"""The ends of a contact whose texture shows a shift count if they have moved by this much more (frame pixels)."""
 END_SHARE = 0.02
 """The end of a contact is where this share of it lies beyond."""
 GRASP_AXIS_PX = ((FRAME_WIDTH_PX - 1) / 2.0, (FRAME_HEIGHT_PX - 1) / 2.0)
@@ -49,7 +43,7 @@ EDGE_PX = 3
 """A contact that comes this close to the edge of the frame is cut there, network pixels."""
 
 Direction = tuple[float, float]
-"""Right and down, of length 1."""
+"""Right and down."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,81 +64,72 @@ class ShiftMeter:
     def __init__(self, template: TextureTemplate | None, patch: Patch) -> None:
         self._template = template
         self._patch = patch
-        self._center_px = patch.center_px
         self._recent: deque[tuple[float, float, float]] = deque()
         self._beyond_px = (0.0, 0.0)
 
     @cached_property
-    def period(self) -> tuple[float, float] | None:
-        """The shift (right, down) after which the texture repeats, texture pixels; None if it does not."""
+    def period(self) -> Direction | None:
+        """The shift after which the texture repeats, texture pixels; None if it does not."""
         return None if self._template is None else shift_period(self._template)
 
-    def measure(self, now_s: float, patch: Patch, found: TrackedTexture | None) -> ShiftMeasurement:
-        """Return the shift of the reference contact's center at `now_s`.
+    def measure(
+        self, now_s: float, rotation_deg: float, found: TrackedTexture | None, patch: Patch | None
+    ) -> ShiftMeasurement:
+        """Return the shift at the grasp axis in the frame of `now_s`.
 
         Args:
             now_s: Capture time of the frame.
-            patch: The contact in it.
-            found: Its texture; None if the reference has none.
+            rotation_deg: Rotation since the reference; the last known one, if it is declined.
+            found: The texture; None if the reference has none.
+            patch: The contact; None if it was not segmented: it has moved as its texture has.
         """
-        measured = self._measure(now_s, patch, found)
-        (x, y), (own_x, own_y) = measured.shift_px or (0.0, 0.0), (found and found.shift_px) or (0.0, 0.0)
-        self._beyond_px = (x - own_x, y - own_y)
-        return measured
-
-    def _measure(self, now_s: float, patch: Patch, found: TrackedTexture | None) -> ShiftMeasurement:
-        (x, y), (before_x, before_y) = patch.center_px, self._center_px
-        center_px = (x - before_x, y - before_y)
         if patch is self._patch:  # the reference's own frame takes long enough without the search for a period
             return ShiftMeasurement((0.0, 0.0))
         if self.period is not None:
             period_px = REDUCTION * math.hypot(*self.period)
-            return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
-        if self._template is None or found is None:
-            return ShiftMeasurement(center_px)
-        rotation_deg, shift_px = found.rotation.rotation_deg, found.shift_px
-        if rotation_deg is None or shift_px is None:
-            rotation_deg, shift_px = rotation_deg or 0.0, center_px
-        along = found.smooth or self._suspect_direction(patch, shift_px)
-        if along is None:
-            return ShiftMeasurement(shift_px)
-        offset_px = end_offset_px(self._patch, patch, shift_px, along, rotation_deg)
-        if found.smooth is None and (offset_px is None or abs(offset_px) < END_PX):
-            return ShiftMeasurement(shift_px)
-        if offset_px is None:  # only the center is left: a taper shows a shift, a cylinder does not
-            offset_px = (center_px[0] - shift_px[0]) * along[0] + (center_px[1] - shift_px[1]) * along[1]
-        return ShiftMeasurement((shift_px[0] + offset_px * along[0], shift_px[1] + offset_px * along[1]))
+            return ShiftMeasurement(None, period_px, self._slides(now_s, found, self.period, period_px))
+        x, y = (found and found.shift_px) or (0.0, 0.0)
+        if patch is not None:
+            self._beyond_px = self._beyond_texture(patch, rotation_deg, found, (x, y))
+        x, y = x + self._beyond_px[0], y + self._beyond_px[1]
+        # The center of a contact away from the axis moves on a circle about it.
+        before = tuple(axis - center for axis, center in zip(GRASP_AXIS_PX, self._patch.center_px, strict=True))
+        after = rotated((before[0], before[1]), rotation_deg)
+        return ShiftMeasurement((x + after[0] - before[0], y + after[1] - before[1]))
 
-    def follow(self, now_s: float, found: TrackedTexture) -> ShiftMeasurement:
-        """Return the shift in a frame without a segmented contact, which has moved with its texture since then."""
-        if self.period is not None:
-            period_px = REDUCTION * math.hypot(*self.period)
-            return ShiftMeasurement(None, period_px, slides=self._slides(now_s, found, self.period, period_px))
-        x, y = found.shift_px or (0.0, 0.0)
-        return ShiftMeasurement((x + self._beyond_px[0], y + self._beyond_px[1]))
+    def _beyond_texture(
+        self, patch: Patch, rotation_deg: float, found: TrackedTexture | None, shift_px: Direction
+    ) -> Direction:
+        """Return how much further than its texture a contact has moved, frame pixels.
 
-    def at_axis(self, shift: ShiftMeasurement, rotation_deg: float) -> ShiftMeasurement:
-        """Return the shift at the grasp axis from that of the reference contact's center, for a rotation since then."""
-        if shift.shift_px is None:
-            return shift
-        (x, y), center_px = shift.shift_px, self._center_px
-        before = (GRASP_AXIS_PX[0] - center_px[0], GRASP_AXIS_PX[1] - center_px[1])
-        after = rotated(before, rotation_deg)
-        return replace(shift, shift_px=(x + after[0] - before[0], y + after[1] - before[1]))
+        Without a rotation by its texture, that is the motion of its center. Along a smooth shaft only the ends show a
+        shift, and those of a fast one move further in a frame than a texture is searched.
+        """
+        middle = self._patch.center_px
+        center_px = patch.center_px[0] - middle[0], patch.center_px[1] - middle[1]
+        beyond = center_px[0] - shift_px[0], center_px[1] - shift_px[1]
+        lost = found is None or found.rotation.rotation_deg is None
+        smooth = None if self._template is None or lost else self._template.smooth
+        has_smooth = smooth is not None
+        way = center_px if patch.clipped.any else beyond
+        far_px = math.hypot(*way)
+        if smooth is not None:
+            along = rotated(smooth, rotation_deg)
+        elif self._template is None or far_px < END_PX / 2.0:  # the center of a cut shaft moves half as far as its end
+            return beyond if lost else (0.0, 0.0)
+        else:
+            along = way[0] / far_px, way[1] / far_px
+            smooth = rotated(along, -rotation_deg)
+        ends = zip(_ends_px(patch, along, middle), _ends_px(self._patch, smooth, middle), strict=True)
+        moved = [now_px - before_px for now_px, before_px in ends if now_px is not None and before_px is not None]
+        further_px = sum(moved) / len(moved) - _along(shift_px, along) if moved else 0.0
+        if not moved and (lost or has_smooth):  # the center: a taper shows a shift, a cylinder does not
+            further_px = _along(beyond, along)
+        elif not has_smooth and abs(further_px) < END_PX:
+            return beyond if lost else (0.0, 0.0)
+        return further_px * along[0], further_px * along[1]
 
-    def _suspect_direction(self, patch: Patch, shift_px: tuple[float, float]) -> Direction | None:
-        """Return the direction in which the ends are to be measured: the center has moved differently, or is cut."""
-        (x, y), (before_x, before_y) = patch.center_px, self._center_px
-        beyond = (x - before_x - shift_px[0], y - before_y - shift_px[1])
-        for way in (beyond, shift_px) if patch.clipped.any else (beyond,):
-            length_px = math.hypot(*way)
-            if length_px >= CENTER_PX:
-                return way[0] / length_px, way[1] / length_px
-        return None
-
-    def _slides(
-        self, now_s: float, found: TrackedTexture | None, period: tuple[float, float], period_px: float
-    ) -> bool:
+    def _slides(self, now_s: float, found: TrackedTexture | None, period: Direction, period_px: float) -> bool:
         """Return whether the texture has moved along its period, or smeared, within the last frames."""
         recent = self._recent
         while recent and not 0.0 <= now_s - recent[0][0] <= SLIDE_S:
@@ -153,11 +138,19 @@ class ShiftMeter:
             why = "" if found is None else found.rotation.declined or ""
             return bool(recent) and why.startswith(DeclineReason.CONTACT_CHANGED)  # it has just been there
         along = rotated(period, found.rotation.rotation_deg)
-        moved_px = (found.shift_px[0] * along[0] + found.shift_px[1] * along[1]) * REDUCTION / period_px
-        recent.append((now_s, moved_px, found.best.alike))
-        way_px = max(one[1] for one in recent) - min(one[1] for one in recent)
-        smeared = max(one[2] for one in recent) - min(one[2] for one in recent)
-        return way_px > min(SLIDE_PX, SLIDE_SHARE * period_px) or smeared > SMEARED
+        recent.append((now_s, _along(found.shift_px, along) * REDUCTION / period_px, found.best.alike))
+        _, ways_px, alike = zip(*recent, strict=True)
+        return bool(np.ptp(ways_px) > SLIDE_SHARE * period_px or np.ptp(alike) > SMEARED)
+
+
+def rotated(direction: Direction, rotation_deg: float) -> Direction:
+    """Rotate a direction counter-clockwise as seen in the image."""
+    c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
+    return c * direction[0] + s * direction[1], c * direction[1] - s * direction[0]
+
+
+def _along(shift: Direction, direction: Direction) -> float:
+    return shift[0] * direction[0] + shift[1] * direction[1]
 
 
 def shift_period(template: TextureTemplate) -> tuple[float, float] | None:
@@ -207,34 +200,7 @@ def _difference_when_shifted(template: TextureTemplate) -> NDArray[np.float32]:
     return np.where(enough, square / np.maximum(overlap, 1.0), np.float32(np.inf)).astype(np.float32)
 
 
-def end_offset_px(
-    reference: Patch, patch: Patch, shift_px: tuple[float, float], along: Direction, rotation_deg: float
-) -> float | None:
-    """Return how much further than by `shift_px` the ends of a contact have moved; None if no end is visible in both.
-
-    Args:
-        reference: The contact in the reference.
-        patch: The contact now.
-        shift_px: Shift of the reference's center, frame pixels.
-        along: Direction in which the ends lie now.
-        rotation_deg: Rotation since the reference.
-    """
-    c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
-    before = (c * along[0] - s * along[1], c * along[1] + s * along[0])
-    center_px = reference.center_px
-    moved = [
-        now_px - before_px
-        for now_px, before_px in zip(
-            _ends_px(patch, along, (center_px[0] + shift_px[0], center_px[1] + shift_px[1])),
-            _ends_px(reference, before, center_px),
-            strict=True,
-        )
-        if now_px is not None and before_px is not None
-    ]
-    return sum(moved) / len(moved) if moved else None
-
-
-def _ends_px(patch: Patch, along: Direction, center_px: tuple[float, float]) -> tuple[float | None, float | None]:
+def _ends_px(patch: Patch, along: Direction, middle_px: Direction) -> tuple[float | None, float | None]:
     """Return how far both ends of a contact are from a point, frame pixels; None for one that the frame cuts."""
     rows, columns = np.nonzero(patch.mask[::2, ::2])
     x, y = 2 * columns + patch.left_px, 2 * rows + patch.top_px
@@ -243,6 +209,5 @@ def _ends_px(patch: Patch, along: Direction, center_px: tuple[float, float]) -> 
     low, high = np.partition(place, (beyond, -1 - beyond))[[beyond, -1 - beyond]]
     width, height = patch.image_size
     cut = (x < EDGE_PX) | (x >= width - EDGE_PX) | (y < EDGE_PX) | (y >= height - EDGE_PX)
-    center = center_px[0] * along[0] + center_px[1] * along[1]
-    first_px, last_px = (float(end) * patch.frame_px - center for end in (low, high))
+    first_px, last_px = (float(end) * patch.frame_px - _along(middle_px, along) for end in (low, high))
     return None if cut[place <= low].any() else first_px, None if cut[place >= high].any() else last_px

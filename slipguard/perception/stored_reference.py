@@ -98,7 +98,7 @@ class ResumingPipeline:
         if self._stored is not None and estimate.contact:
             self._check(estimate, self._stored)
         if self.stored_reference_state == "waiting" and estimate.contact:
-            declined = estimate.without_motion(str(DeclineReason.CHECKING_STORED_REFERENCE))
+            declined = estimate.without_motion(explain(DeclineReason.NO_REFERENCE, "checking the stored one"))
             return replace(declined, shift_declined=None)
         if estimate.rotation_deg is None:
             return estimate

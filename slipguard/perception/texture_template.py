@@ -69,7 +69,7 @@ class TextureTemplate:
     """The reference's texture: points around its center, their values and their change by each motion.
 
     place: (3, N) float32, right and down of the center, and 1.
-    motion: (5, N) float32, change by rotation (rad), shift right, shift down, scale and gain; the last is the value.
+    motion: (5, N) float32, change by rotation (rad), shift right, shift down, scale and gain. value: the last one.
     local: (2, N) float32, weights of a fit's residual that sum up to the clockwise rotation (rad) of what is near the
     grasp axis, and near the contact's center, against the rest.
     block: (N,) number of the neighborhood that each point belongs to.
@@ -83,6 +83,7 @@ class TextureTemplate:
 
     place: Field
     motion: Field
+    value: Field
     local: Field
     block: NDArray[np.intp]
     smooth: tuple[float, float] | None
@@ -92,10 +93,6 @@ class TextureTemplate:
     origin_px: tuple[float, float]
     mask: NDArray[np.uint8]
     round_reason: str | None
-
-    @property
-    def value(self) -> Field:
-        return np.asarray(self.motion[MOTIONS - 1], np.float32)
 
 
 def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTemplate | None:
@@ -131,6 +128,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
     return TextureTemplate(
         np.stack([dx, dy, np.ones_like(dx)]),
         motion,
+        motion[MOTIONS - 1],
         local,
         block - block.min(),
         None if smooth is None else (float(smooth[0]), float(smooth[1])),

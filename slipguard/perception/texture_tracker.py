@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from slipguard.perception.estimate import DeclineReason, RotationEstimate, explain
-from slipguard.perception.gel_memory import SHARE_MAX, ImprintMemory
+from slipguard.perception.gel_memory import ImprintMemory
 from slipguard.perception.registration import Registration, TexturePose, register
 from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
 from slipguard.perception.texture_map import REDUCTION, TextureMap
@@ -37,14 +37,12 @@ MEMORY_ALIKE = 0.85
 class TrackedTexture:
     """Rotation of the texture since the reference, and the shift of the reference's center.
 
-    shift_px: frame pixels right and down; None if unknown. smooth: the direction (right, down; of length 1) along which
-    the texture shows no shift; None if there is none. best: the registration it comes from.
+    shift_px: frame pixels right and down; None if unknown. best: the registration it comes from.
     """
 
     rotation: RotationEstimate
     best: Registration
     shift_px: tuple[float, float] | None = None
-    smooth: tuple[float, float] | None = None
 
 
 class TextureTracker:
@@ -61,6 +59,11 @@ class TextureTracker:
     def round(self) -> bool:
         """Whether the texture shows a shift only."""
         return self._template.round_reason is not None
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the texture shows no shift in one direction."""
+        return self._template.smooth is not None
 
     @cached_property
     def similar_deg(self) -> list[float]:
@@ -159,12 +162,7 @@ class TextureTracker:
             return TrackedTexture(rotation, best, shift if self.round else None)
         if best.alike > MEMORY_ALIKE:
             self._memory.update(best.ghost)
-        if self._memory.too_strong:
-            detail = f"share {self._memory.share:.2f}, limit {SHARE_MAX:g}"
-            return TrackedTexture(RotationEstimate(None, None, explain(DeclineReason.GEL_MEMORY, detail)), best)
-        rotation = self._memory.corrected(best.rotation_deg, best.sigma_deg, best.ghost)
-        smooth = self._template.smooth
-        return TrackedTexture(rotation, best, shift, None if smooth is None else rotated(smooth, pose.rotation_deg))
+        return TrackedTexture(self._memory.corrected(best.rotation_deg, best.sigma_deg, best.ghost), best, shift)
 
 
 def _log_likelihood(found: Registration) -> float:
@@ -180,9 +178,3 @@ def _add(found: list[Registration], one: Registration) -> None:
                 found[k] = one
             return
     found.append(one)
-
-
-def rotated(direction: tuple[float, float], rotation_deg: float) -> tuple[float, float]:
-    """Rotate a direction (right, down) counter-clockwise as seen in the image."""
-    c, s = math.cos(math.radians(rotation_deg)), math.sin(math.radians(rotation_deg))
-    return c * direction[0] + s * direction[1], c * direction[1] - s * direction[0]

@@ -42,7 +42,6 @@ FITTED = (
     ("registration", "LEAD_CORRECTION"),
     ("gel_memory", "SPREAD_SHARE"),
     ("gel_memory", "CORRECTION_SHARE"),
-    ("gel_memory", "PAST_SHARE"),
 )
 """The fitted constants by module. All are positive."""
 Constants = Mapping[tuple[str, str], float]

@@ -12,7 +12,7 @@ from slipguard.perception.estimate import DeclineReason
 from slipguard.perception.stored_reference import DIFFERS_AFTER, MATCHES_AFTER, ResumingPipeline, StoredReference
 
 RESTART_S = 10.0
-WAITING = DeclineReason.CHECKING_STORED_REFERENCE
+WAITING = "no reference yet: checking the stored one"
 
 
 def before(rotation_deg: float, surface: Surface = lettered) -> StoredReference:
