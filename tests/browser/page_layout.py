@@ -67,38 +67,6 @@ WIDE = """() => [...document.querySelectorAll("body *")]
   .filter((one) => one.getBoundingClientRect().right > innerWidth + 0.5)
   .map((one) => one.id || one.className || one.tagName)"""
 
-CUT = """() => [...document.querySelectorAll("button, .figures div, .now, .image p, .pill")]
-  .filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth + 1)
-  .map((one) => one.id || one.textContent.trim())"""
-
-CROWDED = """() => {
-  const widest = {
-    "#counts td": "1234567", "#latencies td": "1234.5", "#rotation": "−123.4°", "#force": "130 N", "#height": "1300 mm",
-    ".pair dl div:nth-child(2) dd": "−123.4°\\u00a0±\\u00a012.3°",
-  };
-  const shown = Object.entries(widest).flatMap(([selector, text]) =>
-    [...document.querySelectorAll(selector)].map((element) => ({ element, text, before: element.textContent })));
-  for (const one of shown) one.element.textContent = one.text;
-  const linesOf = (element) => {
-    const range = document.createRange();
-    range.selectNodeContents(element);
-    return [...range.getClientRects()];
-  };
-  const found = [];
-  for (const { element, text } of shown) {
-    const lines = linesOf(element);
-    if (!lines.length) continue;
-    const neighbor = element.tagName === "TD" ? linesOf(element.previousElementSibling) : [];
-    const edge = element.closest("section").getBoundingClientRect().right;
-    if (lines.length > 1) found.push(`broken: ${text}`);
-    if (neighbor.some((box) => lines[0].left - box.right < 6)) found.push(`touches its neighbor: ${text}`);
-    if (lines[0].right > edge) found.push(`beyond its box: ${text}`);
-  }
-  for (const one of shown) one.element.textContent = one.before;
-  return found;
-}"""
-"""Figures as wide as they can become: broken into lines, beyond their box, or closer than 6 px to a neighbor."""
-
 NAMED_ROLES = {"button", "checkbox", "spinbutton", "textbox", "link", "image", "dialog", "region"}
 
 
@@ -108,11 +76,10 @@ async def low_contrast_texts(page: Page, least_contrast: float = 4.5) -> list[st
 
 
 async def layout_problems(page: Page, least_px: float = 44.0) -> list[str]:
-    """Return elements that are too small, or exceed the window or their box."""
+    """Return elements that are too small, or exceed the window."""
     small = [f"small: {one}" for one in await page.evaluate(SMALL, least_px)]
     wide = [f"beyond the edge: {one}" for one in await page.evaluate(WIDE)]
-    cut = [f"too long for its box: {one}" for one in await page.evaluate(CUT)]
-    return small + wide + cut + list(await page.evaluate(CROWDED))
+    return small + wide
 
 
 async def unnamed_elements(page: Page) -> list[str]:

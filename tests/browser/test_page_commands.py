@@ -15,17 +15,6 @@ DOUBLE_CLICK = """ms => new Promise(done => {
   setTimeout(() => done(again()), ms);
 })"""
 """Both clicks on the page's own clock, so that a busy machine does not delay the second."""
-AGAIN_AT_ONCE = """async () => {
-  const press = id => document.querySelector(id).click();
-  const wait = ms => new Promise(done => setTimeout(done, ms));
-  press("#do-lift");
-  await wait(300);
-  press("#dialog-cancel");
-  press("#do-lift");
-  await wait(250);
-  return !document.querySelector("#dialog-confirm").disabled;
-}"""
-"""Closed and opened again within one task of the page: the close event comes after the second opening."""
 COLOURS = """(canvas) => {
   const copy = new OffscreenCanvas(canvas.width, canvas.height).getContext("2d", { willReadFrequently: true });
   copy.drawImage(canvas, 0, 0);
@@ -111,17 +100,6 @@ async def test_a_double_click_gives_one_command(running: DaemonProcess, open_pag
     await expect(page.locator("#detail")).to_contain_text("NOT guarding")
     await give(page, "guard")
     await expect(page.locator("#do-guard .label")).to_have_text("Guard off")
-
-
-async def test_a_dialog_reopened_at_once_is_armed_after_its_own_delay(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
-    running.held(again=False)
-    page = await open_page()
-    early = await page.evaluate(AGAIN_AT_ONCE)
-    assert early is False, "the first question's time must not arm the second"
-    await expect(page.locator("#dialog")).to_be_visible()
-    await expect(page.locator("#dialog-confirm")).to_be_enabled()
-    await page.click("#dialog-cancel")
-    await expect(page.locator("#dialog")).to_be_hidden()
 
 
 async def test_a_refusal_is_shown_with_the_daemons_reason(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]

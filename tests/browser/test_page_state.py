@@ -6,7 +6,7 @@ import re
 
 import pytest
 from page_rig import DaemonProcess
-from playwright.async_api import Page, expect
+from playwright.async_api import expect
 
 pytestmark = [pytest.mark.browser, pytest.mark.asyncio(loop_scope="session")]
 COUNT_SPOKEN = """() => {
@@ -16,12 +16,6 @@ COUNT_SPOKEN = """() => {
   for (const one of watched) {
     new MutationObserver(note).observe(one, { childList: true, characterData: true, subtree: true });
   }
-}"""
-HIDE = """(hidden) => {
-  const state = hidden ? "hidden" : "visible";
-  Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });
-  Object.defineProperty(document, "visibilityState", { configurable: true, get: () => state });
-  document.dispatchEvent(new Event("visibilitychange"));
 }"""
 
 
@@ -107,22 +101,6 @@ async def test_without_a_connection_no_value_is_shown_as_present(running: Daemon
         await expect(page.locator("#hint-release")).to_have_text("no connection")
         await expect(page.locator("#devices .health").first).to_have_text("not known")
     await expect(page.locator("#connection")).to_have_text("live")
-
-
-async def test_a_hidden_page_requests_no_images(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
-    running.well()
-    page: Page = await open_page()
-    requested: list[str] = []
-    page.on("request", lambda request: "/image/" in request.url and requested.append(request.url))
-    await page.wait_for_timeout(700)
-    assert 2 <= len(requested) <= 14, "both fingers, eight times a second at most"
-    await page.evaluate(HIDE, True)
-    await page.wait_for_timeout(300)
-    requested.clear()
-    await page.wait_for_timeout(600)
-    assert not requested
-    async with page.expect_request("**/image/right"):
-        await page.evaluate(HIDE, False)
 
 
 async def test_a_browser_without_login_is_read_only(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]

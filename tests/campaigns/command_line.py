@@ -48,21 +48,6 @@ def fit_sigma(
 
 
 @app.command()
-def readme_animation(
-    file: Annotated[Path, typer.Argument(help="WebP file to write.")],
-    name: Annotated[str, typer.Option("--object", help="Name of the lifted object.")] = "bar",
-    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
-) -> None:
-    """Draw the animation of README.md: the same simulated lift without and with the guard.
-
-    Example: `python -m tests.campaigns readme-animation docs/guard.webp`
-    """
-    from tests.campaigns.readme_animation import draw_animation
-
-    draw_animation(file, name, seed)
-
-
-@app.command()
 def network_table(
     models: Annotated[list[Path], typer.Argument(help="ONNX files that keep the model contract.")],
     grasps: Annotated[int, typer.Option(min=1, help="Grasps of each test object.")] = 2,

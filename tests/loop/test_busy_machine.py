@@ -124,38 +124,6 @@ async def test_processing_that_never_returns_is_named(cell: Cell) -> None:
     assert "busy" not in lines
 
 
-@on_cell("wrench", 1)
-async def test_a_thread_that_waits_for_a_processor_is_not_stuck(cell: Cell) -> None:
-    await cell.grasp()
-    for worker in cell.workers.values():
-        worker.latency_s = 1e6
-        worker.waited_s = lambda: 0.5 * cell.now_s  # type: ignore[method-assign]
-    await cell.faulted(FaultCode.MACHINE_BUSY, 1.0)
-
-
-@on_cell("wrench", 1)
-async def test_frames_with_an_old_stamp_are_named_after_their_clock(cell: Cell) -> None:
-    await cell.grasp()
-    for name in ("left", "right"):
-        cell.world.faults.fail(name, "stamps_behind")
-    fault = await cell.faulted(FaultCode.FRAMES_LOST, 1.0)
-    assert "left: its frames are stamped 5.0" in fault.observed
-    await asyncio.sleep(0.5)
-    lines = "\n".join(cell.service.event_log.lines)
-    assert "s before they arrive: the camera's clock is wrong" in lines
-    assert "busy" not in lines
-
-
-@on_cell("wrench", 1)
-async def test_cameras_that_stall_on_an_idle_machine_are_named(cell: Cell) -> None:
-    await cell.grasp()
-    stand_still(0.2)
-    await asyncio.sleep(2.0)
-    for name in ("left", "right"):
-        cell.world.faults.fail(name, "stall")
-    await cell.faulted(FaultCode.FRAMES_LOST, 1.0)
-
-
 @on_cell(latency_s=0.05)
 async def test_the_newest_frame_wins_when_the_worker_is_slow(cell: Cell) -> None:
     await cell.ready()
@@ -171,20 +139,6 @@ async def test_the_newest_frame_wins_when_the_worker_is_slow(cell: Cell) -> None
         assert finger.capture.counts.late > 50
         assert finger.captured_at_s is not None
         assert cell.now_s - finger.captured_at_s < 0.17
-
-
-@on_cell("wrench", 1, latency_s=0.03)
-async def test_an_estimate_computed_during_a_reset_of_the_reference_is_dropped(cell: Cell) -> None:
-    await cell.grasp()
-    finger, oracle = cell.service.fingers["left"], cell.perceivers["left"][0]
-    await cell.until(lambda: finger.newest is not None and finger.newest.estimate.sequence < oracle.sequence)
-    under_way = oracle.sequence
-    finger.reset_reference()
-    assert finger.newest is None
-    await finger.has_estimate.wait()
-    assert finger.newest is not None
-    assert finger.newest.estimate.sequence > under_way
-    assert finger.newest.estimate.rotation_deg is None
 
 
 async def test_on_the_real_clock_with_threads_it_grips_and_ends_its_threads() -> None:
@@ -222,27 +176,6 @@ def test_a_late_loop_skips_and_counts_and_does_not_burst() -> None:
         0.07,
         0.08,
     ]  # one beat at once for the one now due, then on the grid again
-
-
-def test_a_new_value_wakes_before_the_next_tick() -> None:
-    async def scenario() -> tuple[bool, bool, float]:
-        ticker, wake, loop = Ticker(0.01), asyncio.Event(), asyncio.get_running_loop()
-        start_s = loop.time()
-        loop.call_later(0.003, wake.set)
-        first = await ticker.wait(wake)
-        wake.clear()
-        second = await ticker.wait(wake)
-        return first, second, loop.time() - start_s
-
-    first, second, elapsed_s = run_virtual(scenario())
-    assert (first, second) == (False, True)
-    assert elapsed_s == pytest.approx(0.01)
-
-
-@pytest.mark.parametrize("period_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_period_must_be_a_positive_time(period_s: float) -> None:
-    with pytest.raises(ValueError, match="period_s"):
-        Ticker(period_s)
 
 
 def test_back_off_doubles_up_to_ten_times_and_starts_again() -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import Callable, Coroutine
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,27 +98,6 @@ async def test_it_is_refused_while_something_is_or_may_be_touched(cell: Cell) ->
     assert sorted(await cell.handlers.calibrate(CalibrateRequest())) == ["left", "right"]
 
 
-@on_cell()
-async def test_it_is_refused_in_contact_unless_that_is_known_better(cell: Cell) -> None:
-    await cell.ready()
-    cell.perceivers["left"][0].always_touched = True
-    await asyncio.sleep(0.1)
-    with pytest.raises(CommandRefused, match="left finger is in contact; remove the object, or use --force"):
-        await cell.submit(CalibrateRequest())
-    await cell.submit(CalibrateRequest(force=True))
-
-
-@on_cell(make=uncalibrated)
-async def test_a_moving_image_stores_nothing(cell: Cell) -> None:
-    await cell.ready()
-    cell.sensors["right"].numbered_images.flickers = True
-    with pytest.raises(CommandRefused, match="right: the image is not still"):
-        await cell.submit(CalibrateRequest())
-    assert cell.store.kept == {}
-    assert all(finger.capture._copies is None for finger in cell.service.fingers.values())
-    assert not cell.service.waiting_for
-
-
 @pytest.mark.parametrize("kind", ["disconnect", "stall"])
 @on_cell(make=uncalibrated)
 async def test_without_frames_it_is_refused(cell: Cell, kind: str) -> None:
@@ -160,24 +137,6 @@ async def test_a_damaged_image_is_a_reason_not_to_grasp(cell: Cell) -> None:
     cell.store.load_background = damaged  # type: ignore[method-assign]
     with pytest.raises(CommandRefused, match="cannot be read; run `slipguard calibrate`"):
         await cell.submit(GraspRequest())
-
-
-@on_cell()
-async def test_a_damaged_image_is_no_reason_against_a_new_one(cell: Cell) -> None:
-    """Without its image a finger may see contact where there is none; the advice to calibrate must lead somewhere."""
-    await cell.ready()
-    known = cell.store.load_background
-
-    def damaged(serial: str) -> BackgroundImage | None:
-        raise InputError("no_contact-0001.png: cannot be read; run `slipguard calibrate`")
-
-    cell.store.load_background = damaged  # type: ignore[method-assign]
-    for finger in cell.service.fingers.values():
-        assert finger.newest is not None
-        finger.newest = replace(finger.newest, estimate=replace(finger.newest.estimate, contact=True))
-    await cell.submit(CalibrateRequest())
-    cell.store.load_background = known  # type: ignore[method-assign]
-    await cell.grasp()
 
 
 @pytest.mark.parametrize(
@@ -227,23 +186,6 @@ def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDi
     play(Cell(), main)
 
 
-def test_all_that_is_stored_is_listed(tmp_path: Path) -> None:
-    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
-        listed = json.loads(await handlers.backgrounds())
-        assert {name: one["serial"] for name, one in listed.items()} == {"left": "SIM-L", "right": "SIM-R"}
-        assert [one["number"] for one in listed["left"]["versions"]] == [1, 2]
-        assert listed["left"]["versions"][1]["level_bgr"] == [60.0, 60.0, 60.0]
-        newest, first = await handlers.background("left"), await handlers.background("left", 1)
-        assert (newest.serial, newest.frame.sequence, int(newest.frame.image[0, 0, 0])) == ("SIM-L", 2, 60)
-        assert (first.frame.sequence, int(first.frame.image[0, 0, 0])) == (1, 50)
-        with pytest.raises(CommandRefused, match="SIM-L: background image 7 not found; stored numbers: 1, 2"):
-            await handlers.background("left", 7)
-        with pytest.raises(CommandRefused, match="no finger 'thumb'; choose from: left, right"):
-            await handlers.background("thumb")
-
-    with_history(tmp_path, scene)
-
-
 def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_path: Path) -> None:
     async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
         response = await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
@@ -256,28 +198,5 @@ def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_pat
             await handlers.submit(RestoreBackgroundRequest(finger="left", number=9))
         with pytest.raises(ValidationError):
             RestoreBackgroundRequest.model_validate({"finger": "thumb", "number": 1})
-
-    with_history(tmp_path, scene)
-
-
-def test_not_while_something_is_held(tmp_path: Path) -> None:
-    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
-        await cell.grasp()
-        with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
-            await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
-        assert len(store.background_versions("SIM-L")) == 2
-
-    with_history(tmp_path, scene)
-
-
-@pytest.mark.parametrize("new_gel", [False, True])
-def test_a_calibration_says_whether_the_gel_is_new(tmp_path: Path, new_gel: bool) -> None:
-    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
-        await handlers.submit(CalibrateRequest(new_gel=new_gel))
-        newest = store.background_versions("SIM-R")[-1]
-        assert (newest.number, newest.new_gel) == (3, new_gel)
-        first = store.first_of_gel("SIM-R")
-        assert first is not None
-        assert (int(first.image[100, 100, 0]) == 50) is not new_gel
 
     with_history(tmp_path, scene)

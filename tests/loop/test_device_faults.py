@@ -160,20 +160,6 @@ async def test_no_force_is_added_while_the_arm_is_stopped_for_a_person(cell: Cel
     assert cell.gripper.commands[count:] == []
 
 
-@pytest.mark.parametrize("kind", ["frozen", "corrupt", "stall"])
-@on_cell()
-async def test_a_sensor_that_gives_nothing_good_for_long_is_opened_again(cell: Cell, kind: str) -> None:
-    await cell.ready()
-    cell.world.faults.fail("left", kind)
-    await asyncio.sleep(1.5)
-    assert cell.sensors["left"].opened == 1
-    await asyncio.sleep(2.0)
-    assert cell.sensors["left"].opened == 2
-    cell.world.faults.repair("left")
-    await cell.until(lambda: not cell.service.waiting_for, 1.0)
-    assert cell.sensors["right"].opened == 1
-
-
 async def faulty(cell: Cell) -> None:
     await holding(cell)
     cell.world.faults.fail("arm", "protective_stop")
@@ -228,24 +214,3 @@ async def test_without_cameras_the_jaws_open_but_no_finger_sees_the_object_go(ce
     await asyncio.sleep(0.5)
     await cell.submit(ClearRequest())
     assert cell.phase is Phase.IDLE
-
-
-@on_cell("wrench", 1, guard=BRISK, loop={"retry_s": 0.05})
-async def test_the_way_down_of_an_arm_that_was_away_follows_from_its_position(cell: Cell) -> None:
-    """An arm counts its height from where it was found: after a lost connection only its position is comparable."""
-    await cell.grasp()
-    await cell.submit(LiftRequest())
-    await asyncio.sleep(0.3)
-    cell.world.faults.fail("arm", "disconnect")
-    await asyncio.sleep(0.05)
-    cell.world.faults.repair("arm")
-    await cell.until(lambda: cell.phase is Phase.FAULT, NAMED_WITHIN_S)
-    await cell.until(lambda: not cell.service.waiting_for)
-    await asyncio.sleep(1.0)
-    lifts = [command for command in cell.arm.commands if command[1] == "lift"]
-    assert len(lifts) == 1
-    await cell.submit(ClearRequest())
-    await cell.until(cell.steady)
-    await cell.submit(LowerRequest())
-    await cell.until(lambda: cell.phase is Phase.HOLDING)
-    assert cell.truth.height_mm == pytest.approx(0.0, abs=1.0)

@@ -60,28 +60,6 @@ async def test_a_driver_that_raises_is_named_tried_again_and_the_grip_stays(
 
 
 @pytest.mark.parametrize("error", sampled(FAILURES))
-@pytest.mark.parametrize("method", sampled(["next_frame", "open", "close"]))
-@on_cell("wrench", 1)
-async def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(
-    cell: Cell, method: str, error: BaseException
-) -> None:
-    await cell.grasp()
-    sensor = cell.sensors["left"]
-    setattr(sensor, method, raising(error))
-    if method != "next_frame":
-        cell.world.faults.fail("left", "disconnect")
-        await asyncio.sleep(0.2)
-        cell.world.faults.repair("left")
-    await asyncio.sleep(1.5)
-    if method != "close":
-        assert reported(cell, "left", f"{type(sensor).__qualname__} (test_driver_failures.py, line ")
-    await cell.lift()
-    assert cell.phase is Phase.HOLDING
-    delattr(sensor, method)
-    await cell.until(lambda: not cell.service.waiting_for, 3.0)
-
-
-@pytest.mark.parametrize("error", sampled(FAILURES))
 @on_cell()
 async def test_a_pipeline_that_raises_pauses_and_is_tried_again(cell: Cell, error: BaseException) -> None:
     await cell.grasp()
@@ -164,20 +142,6 @@ async def test_an_invalid_frame_is_an_error_of_the_driver(cell: Cell, change: di
     assert cell.phase is Phase.HOLDING, "the other finger guards"
     del sensor.next_frame
     await cell.until(lambda: not cell.service.waiting_for, 3.0)
-
-
-def test_the_log_gets_the_traceback_once() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        cell.gripper.state = raising(TypeError("no"))  # type: ignore[assignment,method-assign]
-        await asyncio.sleep(5.0)
-
-    structlog.reset_defaults()
-    with capture_logs() as entries:
-        play(Cell(), scene)
-    (entry,) = [entry for entry in entries if "exc_info" in entry]
-    assert entry["event"].startswith("gripper: error in loop_doubles.LoggedGripper")
-    assert isinstance(entry["exc_info"], TypeError)
 
 
 def fails(value: object) -> None:

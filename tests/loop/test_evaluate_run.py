@@ -59,27 +59,6 @@ def test_recorded_lifts_are_not_repeated(experiment: Path, capsys: pytest.Captur
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["lifts"] == 2
 
 
-@pytest.mark.campaign
-def test_another_protocol_is_refused_in_the_same_folder(experiment: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    other = experiment.parent / "other.toml"
-    other.write_text(PROTOCOL.replace("repeats = 2", "repeats = 3"))
-    assert run(["evaluate", "run", "--sim", "--protocol", str(other), "--out", str(experiment)]) == 2
-    assert "holds another experiment" in capsys.readouterr().err
-
-
-@pytest.mark.campaign
-def test_a_truncated_recording_is_one_line(
-    experiment: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = next((experiment / "lifts").glob("*.mcap")).read_bytes()
-    (tmp_path / "lifts").mkdir()
-    (tmp_path / "lifts" / "001-bar-1.mcap").write_bytes(whole[: len(whole) // 8])
-    assert run(["evaluate", "report", str(tmp_path), "--jobs", "1"]) == 2
-    message = capsys.readouterr().err
-    assert "001-bar-1" in message
-    assert message.count("\n") == 1
-
-
 def test_an_unknown_object_and_a_missing_camera_are_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,12 +7,11 @@ import json
 from typing import Any
 
 import pytest
-from loop_cell import Cell, on_cell, play
+from loop_cell import Cell, play
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, DaemonRequest, GraspRequest, MoveJawsRequest
-from slipguard.errors import CommandRefused
 from slipguard.tools.fingertips import FingertipMeasurement, describe
 
 TIP_MM = 15.0
@@ -24,17 +23,6 @@ def holds(cell: Cell) -> list[float]:
 
 async def take_away(cell: Cell) -> None:
     cell.world.clear(cell.now_s)
-
-
-@on_cell(fingertip_mm=TIP_MM, configured_mm=0.0)
-async def test_without_the_setting_gel_on_gel_is_a_held_object(cell: Cell) -> None:
-    """What the setting is for."""
-    await cell.ready()
-    await take_away(cell)
-    await cell.submit(GraspRequest())
-    await cell.until(lambda: cell.phase is Phase.HOLDING)
-    assert cell.truth.object_name is None
-    assert cell.truth.force_n > 30.0
 
 
 @pytest.mark.parametrize("error_mm", [0.0, 0.4, -0.4], ids=["right", "too thick", "too thin"])
@@ -107,24 +95,3 @@ def test_the_measurement_finds_where_the_gels_touch_and_opens_again(mode: str) -
     assert widths[0] > 2 * TIP_MM + 5.0
     moves = [value for _, what, value in cell.gripper.commands if what == "move"]
     assert len(moves) == 1 + len(widths)
-
-
-def test_the_measurement_confirms_a_right_setting_and_refuses_a_held_object() -> None:
-    async def scene(cell: Cell) -> None:
-        await cell.ready()
-        await take_away(cell)
-        assert await measure(cell, []) is None
-        assert not cell.truth.in_contact
-        assert "do not touch" in describe(None)
-        assert "set fingertip_mm = 0, restart the daemon and measure again" in describe(None)
-
-    play(Cell(fingertip_mm=TIP_MM, watched=False), scene)
-
-    async def held(cell: Cell) -> None:
-        await cell.ready()
-        await cell.grasp()
-        with pytest.raises(CommandRefused, match="support what they hold, then release"):
-            await measure(cell, [])
-        assert cell.truth.in_contact
-
-    play(Cell(), held)

@@ -84,17 +84,6 @@ def play(scene: Callable[[Bench], Coroutine[Any, Any, None]], store: Any = None)
     run_virtual(main())
 
 
-def test_an_unchanged_gel_is_ok_and_not_logged() -> None:
-    async def scene(bench: Bench) -> None:
-        assert "left" not in bench.monitor.conditions
-        await bench.show(gel(), 300.0)
-        assert "left" in bench.monitor.conditions
-        assert bench.monitor.conditions["left"].status is GelStatus.OK
-        assert bench.reported == []
-
-    play(scene)
-
-
 def test_a_cut_is_reported_once_with_its_size_and_what_to_do() -> None:
     async def scene(bench: Bench) -> None:
         await bench.show(cut(gel()), 150.0)
@@ -125,18 +114,6 @@ def test_drifting_light_is_reported_with_figures_and_no_more_after_a_calibration
         assert "left" in bench.monitor.conditions
         assert bench.monitor.conditions["left"].status is GelStatus.OK
         assert len(bench.reported) == 1
-
-    play(scene)
-
-
-def test_a_touch_and_changes_shorter_than_three_minutes_raise_no_alert() -> None:
-    async def scene(bench: Bench) -> None:
-        await bench.show(gel(), 60.0)
-        for _ in range(5):
-            await bench.show(cut(gel()), 30.0, contact=True)
-            await bench.show(cut(gel()), 70.0)  # dirt that falls off again
-            await bench.show(gel(), 130.0)
-        assert bench.reported == []
 
     play(scene)
 

@@ -8,14 +8,10 @@ from pathlib import Path
 import numpy as np
 from loop_cell import Cell, on_cell
 
-from slipguard.config import parse_config
 from slipguard.control.load_state import STIFFNESS_PRIOR, LogNormal
-from slipguard.daemon.run import build_service
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.gel_stiffness import StiffnessSaver, restore_stiffness
 from slipguard.daemon.store.state_dir import StateDir
-from slipguard.devices import FINGERS
-from slipguard.sim.world import World, WorldSettings
 
 SERIALS = ("D20479", "D20510")
 SOFT = LogNormal(0.08, 0.5)
@@ -44,22 +40,6 @@ async def test_what_a_lift_shows_is_stored_for_both_sensors(cell: Cell, tmp_path
     assert learned != STIFFNESS_PRIOR
     assert restore_stiffness(state_dir, SERIALS) == learned
     assert restore_stiffness(state_dir, SERIALS[::-1]) == learned
-
-
-def test_a_started_daemon_knows_its_gels(tmp_path: Path) -> None:
-    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in FINGERS}
-    config = parse_config(raw | {"state": {"directory": str(tmp_path)}}, where="test", sim=True)
-
-    def started() -> tuple[LogNormal, list[str]]:
-        service = build_service(config, world=World(WorldSettings(), seed=0))
-        service.close()
-        serials = [finger.capture.sensor.serial for finger in service.fingers.values()]
-        return service.state.gel, serials
-
-    gel, serials = started()
-    assert gel == STIFFNESS_PRIOR
-    stored(tmp_path, *((serial, SOFT) for serial in serials))
-    assert started()[0] == SOFT
 
 
 def test_a_new_gel_is_unknown_and_another_image_of_the_same_is_not(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from sampled import sampled
 from slipguard.control.control_step import ControlState
 from slipguard.control.state import Adoption, GraspState, Phase, RememberedGrip
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
-from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store import dated_file
 from slipguard.daemon.store.disk_writer import RETRY_S
@@ -52,27 +50,6 @@ async def test_the_grip_is_saved_tightened_and_deleted(cell: Cell, tmp_path: Pat
     await cell.release()
     await asyncio.sleep(0.1)
     assert store.load_last_grasp() is None
-
-
-@on_cell("wrench", 1)
-async def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(cell: Cell, tmp_path: Path) -> None:
-    class Counting(StateDir):
-        writes = 0
-
-        def save_last_grasp(self, last: LastGrasp) -> None:
-            self.writes += 1
-            super().save_last_grasp(last)
-
-    store = Counting(tmp_path)
-    saver = LastGraspSaver(store, cell.messages.append, cell.messages.append)
-    decisions: list[Decision] = []
-    cell.service.observers.append(decisions.append)
-    await cell.grasp()
-    held = decisions[-1]
-    for minutes in range(0, 21, 4):
-        saver.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
-        await asyncio.sleep(0.1)
-    assert store.writes == 3, "at 0, 8 and 16 minutes"
 
 
 @on_cell("wrench", 1)
@@ -222,18 +199,6 @@ def test_what_is_no_file_does_not_say_that_nothing_was_held(
     assert reason in lines[0]
     assert restore_control_state(StateDir(tmp_path), warning=lines.append) == MAY_HOLD
     assert len(lines) == 1, "the next start reads a valid file"
-
-
-@pytest.mark.parametrize("target", ["missing", "state"])
-def test_a_state_folder_behind_a_broken_link_does_not_say_that_nothing_was_held(tmp_path: Path, target: str) -> None:
-    (tmp_path / "state").symlink_to(tmp_path / target)
-    lines: list[str] = []
-    assert restore_control_state(StateDir(tmp_path / "state"), warning=lines.append) == MAY_HOLD
-    assert "cannot be read" in lines[0]
-    (tmp_path / "real").mkdir()
-    (tmp_path / "state").unlink()
-    (tmp_path / "state").symlink_to(tmp_path / "real")
-    assert restore_control_state(StateDir(tmp_path / "state"), warning=lines.append) == ControlState(), "a first start"
 
 
 def test_after_a_damaged_file_the_held_object_is_kept_and_guarded(tmp_path: Path) -> None:

@@ -34,33 +34,6 @@ def reloader(cell: Cell, read: Callable[[], Config]) -> Reloader:
     return Reloader(cell.service, read, lambda: None)
 
 
-def test_every_changed_key_is_reported_as_in_the_file() -> None:
-    new = config(guard={"force_max_n": 110, "mode": "guard"}, left={"driver": "fake", "fake": {"draw": "process"}})
-    assert [str(change) for change in find_changes(config(), new)] == [
-        'left.fake.draw: "inline" -> "process"',
-        'guard.mode: "lift" -> "guard"',
-        "guard.force_max_n: 130.0 -> 110.0",
-    ]
-    assert find_changes(config(), config()) == []
-
-
-@pytest.mark.parametrize(
-    "sections",
-    [
-        {"guard": {"mode": "guard"}},
-        {"left": {"driver": "fake", "px_per_mm": 18.0}},
-        {"perception": {"sigma_max_deg": 5.0}},
-        {"loop": {"period_ms": 20}},
-        {"api": {"socket": "/run/other.sock"}},
-        {"state": {"directory": "/var/lib/other"}},
-        {"recording": {"directory": "/var/lib/other"}},
-    ],
-)
-def test_a_key_that_is_read_only_at_the_start_needs_a_restart(sections: dict[str, Any]) -> None:
-    (change, *_) = find_changes(config(), config(**sections))
-    assert refusal_reason(change, config(**sections), CurrentGrip(Phase.IDLE, False, 0.0)) == "needs a restart"
-
-
 @pytest.mark.parametrize("phase", Phase)
 def test_the_guard_changes_only_while_nothing_moves(phase: Phase) -> None:
     new = config(guard={"tuning": {"slip_rate_deg_s": 3.0}})
@@ -112,18 +85,6 @@ async def test_a_force_limit_below_the_present_grip_is_refused_with_the_whole_fi
     await cell.release()
     assert await reloader(cell, lambda: config(guard=low)).reload()
     assert cell.service.config.guard.force_max_n == 35.0
-
-
-@on_cell("wrench", 1)
-async def test_during_a_lift_the_old_one_stays(cell: Cell) -> None:
-    await cell.ready()
-    await cell.grasp()
-    lifting = asyncio.create_task(cell.lift())
-    await cell.until(lambda: cell.phase is Phase.LIFTING)
-    assert not await reloader(cell, lambda: config(guard={"tuning": {"slip_rate_deg_s": 3.0}})).reload()
-    assert "guard.tuning.slip_rate_deg_s: 8.0 -> 3.0 not possible while lifting" in cell.service.event_log.lines[-1]
-    assert await reloader(cell, lambda: config(recording={"ring_s": 60})).reload()
-    await lifting
 
 
 @pytest.mark.parametrize("failure", [ConfigError("config.toml: guard.mode = 'x': wrong"), RuntimeError("a driver's")])

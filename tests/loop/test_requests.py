@@ -10,7 +10,7 @@ from loop_cell import Cell, on_cell
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
-from slipguard.daemon.api.requests import GraspRequest, LiftRequest, MoveJawsRequest, ReleaseRequest
+from slipguard.daemon.api.requests import GraspRequest, LiftRequest
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.errors import CommandRefused, DeviceTimeout
@@ -49,31 +49,6 @@ async def test_a_release_that_was_not_taken_is_commanded_again(cell: Cell) -> No
 
 
 @on_cell()
-async def test_a_refusal_of_the_gripper_is_reported(cell: Cell) -> None:
-    await cell.ready()
-    cell.gripper.failures = [CommandRefused("gripper: width_mm is 99; it must be 0 to 85")]
-    await cell.submit(MoveJawsRequest(width_mm=50.0, force_n=20.0))
-    await asyncio.sleep(0.1)
-    assert cell.service.event_log.lines[-1] == "gripper: width_mm is 99; it must be 0 to 85"
-
-
-@on_cell()
-async def test_two_requests_at_once_are_answered_in_order(cell: Cell) -> None:
-    await cell.ready()
-    asked_s = cell.now_s
-    both = [cell.submit(GraspRequest()), cell.submit(ReleaseRequest(confirm=True))]
-    first, second = await asyncio.gather(*both)
-    assert first.startswith("closing with")
-    assert second.startswith("releasing, as requested")
-    assert cell.now_s - asked_s < 0.05
-    await cell.until(lambda: cell.phase is Phase.IDLE)
-    twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)
-    assert str(twice[0]).startswith("closing with")
-    assert isinstance(twice[1], CommandRefused)
-    assert str(twice[1]) == "cannot grasp while closing; support the object, then release it"
-
-
-@on_cell()
 async def test_a_request_that_times_out_is_refused_and_not_carried_out_later(cell: Cell) -> None:
     await cell.ready()
     run_cycle = cell.service._run_cycle
@@ -84,19 +59,6 @@ async def test_a_request_that_times_out_is_refused_and_not_carried_out_later(cel
     assert cell.now_s - asked_s == pytest.approx(2.0, abs=0.02)
     cell.service._run_cycle = run_cycle  # type: ignore[method-assign]
     await asyncio.sleep(0.5)
-    assert cell.phase is Phase.IDLE
-    assert cell.gripper.commands == []
-
-
-@on_cell()
-async def test_a_request_whose_client_has_gone_is_not_executed(cell: Cell) -> None:
-    await cell.ready()
-    asker = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GRASP)))
-    other = asyncio.create_task(cell.service.request(ControlRequest(RequestKind.GUARD_OFF)))
-    await asyncio.sleep(0)
-    asker.cancel()
-    await other
-    await asyncio.sleep(0.2)
     assert cell.phase is Phase.IDLE
     assert cell.gripper.commands == []
 

@@ -26,8 +26,8 @@ from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
 from slipguard.daemon import lifecycle
 from slipguard.daemon import run as root
-from slipguard.daemon.api.requests import GraspRequest, ReleaseRequest
-from slipguard.daemon.lifecycle import exit_if_stuck, watchdog_period_s
+from slipguard.daemon.api.requests import GraspRequest
+from slipguard.daemon.lifecycle import exit_if_stuck
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.devices import Frame
@@ -51,17 +51,6 @@ async def test_a_device_missing_at_the_start_is_waited_for_by_name(cell: Cell, d
     await cell.until(lambda: not cell.service.waiting_for, 5.1)  # ten times the first pause is the longest
     await cell.grasp()
     assert cell.phase is Phase.HOLDING
-
-
-@on_cell()
-async def test_without_any_device_the_service_waits_and_names_them(cell: Cell) -> None:
-    for device in DEVICES:
-        cell.world.faults.fail(device, "disconnect")
-    await asyncio.sleep(3.0)
-    assert [line.split(":")[0] for line in cell.service.waiting_for] == list(DEVICES)
-    assert cell.phase is Phase.IDLE
-    response = await cell.submit(ReleaseRequest(confirm=True))
-    assert response == "releasing, as requested: when the arm stands, after 0.5 s at the latest"
 
 
 @pytest.mark.parametrize("seed", sampled(range(20), every=6))
@@ -94,20 +83,6 @@ async def carry(cell: Cell) -> None:
     await cell.grasp()
     await cell.lift()
     await cell.lower()
-
-
-def test_requests_to_a_stopping_service_are_refused() -> None:
-    async def main() -> None:
-        cell = Cell()
-        async with running(cell):
-            await cell.ready()
-            asked = [asyncio.create_task(cell.submit(GraspRequest())) for _ in range(3)]
-            await asyncio.sleep(0)
-        ends = await asyncio.gather(*asked, return_exceptions=True)
-        assert str(ends[0]).startswith("closing")
-        assert [str(end) for end in ends[1:]] == 2 * ["grasp: slipguard is stopping"]
-
-    run_virtual(main())
 
 
 @pytest.mark.parametrize("first", ["left", "gripper", "arm"])
@@ -228,12 +203,6 @@ def test_a_controller_error_ends_the_service_and_feeds_nothing_more(systemd: soc
     assert received[-1] == "STOPPING=1"
 
 
-@pytest.mark.parametrize("raw", ["", "0", "-5", "soon", "3.5"])
-def test_without_a_sensible_time_nothing_is_fed(raw: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("WATCHDOG_USEC", raw)
-    assert watchdog_period_s() is None
-
-
 ROTATIONS = range(16)
 
 
@@ -294,17 +263,6 @@ def test_a_device_that_swallows_a_cancellation_is_closed(rotation: int, there: b
         return actuator.run()
 
     assert ended_when_cancelled_at(rotation, driven)
-
-
-@pytest.mark.parametrize("there", [False, True])
-@pytest.mark.parametrize("rotation", ROTATIONS)
-def test_a_sensor_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
-    def sensed() -> Coroutine[Any, Any, None]:
-        finger = Cell().service.fingers["left"]
-        finger.capture.sensor = Careless(there)  # type: ignore[assignment]
-        return finger.run()
-
-    assert ended_when_cancelled_at(rotation, sensed)
 
 
 async def one_that_stays() -> None:

@@ -76,19 +76,6 @@ async def test_it_pauses_the_program_that_moves_the_arm_in_guard_mode(cell: Cell
     assert cell.handlers.snapshot().stopped_by_request is False
 
 
-@on_cell("wrench", 1)
-async def test_a_slip_after_it_is_met_with_force(cell: Cell) -> None:
-    await cell.grasp()
-    await cell.submit(LiftRequest())
-    await cell.until(lambda: cell.truth.height_mm > 20.0)
-    await stopped(cell)
-    first_n = cell.truth.applied_n
-    cell.world.add_mass(cell.now_s, 3.0)
-    await asyncio.sleep(1.0)
-    assert cell.truth.applied_n > first_n
-    assert cell.truth.dropped is None
-
-
 @on_cell()
 async def test_closing_jaws_are_halted(cell: Cell) -> None:
     await cell.ready()

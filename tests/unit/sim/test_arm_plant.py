@@ -55,17 +55,6 @@ def test_a_stop_takes_its_way() -> None:
     assert pose(stopped, 1.05).acceleration_mm_s2 == -2500.0
 
 
-@pytest.mark.parametrize("way_mm", [-30.0, 0.0, 5.0])
-def test_a_goal_behind_or_too_near_is_overshot_and_come_back_to(way_mm: float) -> None:
-    plant, _ = order_lift(AT_REST, MODEL, 0.0, 400.0, 250.0)
-    here = pose(plant, 1.0)
-    back, _ = order_lift(plant, MODEL, 1.0, way_mm, 250.0)
-    assert continuous(back)
-    top = max(pose(back, 1.0 + i * 1e-3).height_mm for i in range(1000))
-    assert top - here.height_mm == pytest.approx(250.0**2 / 2 / 1200.0, abs=0.01)
-    assert pose(back, 9.0).height_mm == pytest.approx(here.height_mm + way_mm)
-
-
 moves = st.tuples(st.floats(-300.0, 300.0), st.floats(0.0, 300.0), st.floats(0.0, 2.0), st.booleans())
 
 

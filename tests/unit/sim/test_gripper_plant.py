@@ -10,12 +10,10 @@ from hypothesis import strategies as st
 
 from slipguard.sim.gripper_plant import (
     UNLOAD_N_S,
-    Drive,
     GripperDynamics,
     GripperPlant,
     advance,
     order_hold,
-    order_move,
     order_release,
     report,
 )
@@ -34,13 +32,6 @@ def run(
     for i in range(1, round(seconds / STEP_S) + 1):
         plants.append(advance(plants[-1], model, start_s + i * STEP_S, STEP_S, object_mm))
     return plants
-
-
-@given(st.floats(20.0, 235.0))
-def test_quantisation_adds_less_than_a_count_and_is_stable(force_n: float) -> None:
-    applied_n = MODEL.quantized_force_n(force_n)
-    assert force_n - 1e-6 <= applied_n < force_n + MODEL.force_step_n
-    assert MODEL.quantized_force_n(applied_n) == applied_n
 
 
 def test_closing_waits_for_line_and_motor_then_stops_on_the_object() -> None:
@@ -116,13 +107,3 @@ def test_closing_on_nothing_ends_at_the_end_stop() -> None:
     assert end.force_n == 0.0
     reopened = run(order_release(end, MODEL, 2.0, 85.0), 2.0, 1.5, object_mm=None)[-1]
     assert not reopened.closed_on_nothing
-
-
-def test_move_goes_to_a_width_and_says_which() -> None:
-    plant, width_mm = order_move(OPEN, MODEL, 0.0, 50.0, 20.0)
-    assert abs(width_mm - 50.0) <= MODEL.width_step_mm / 2
-    end = run(plant, 0.0, 1.0)[-1]
-    assert end.width_mm == width_mm
-    assert end.drive is Drive.REST
-    assert not end.closed_on_nothing
-    assert not end.holding
