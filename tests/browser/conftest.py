@@ -80,7 +80,7 @@ async def open_page(browser: Browser, running: DaemonProcess) -> AsyncIterator[O
         )
         await page.goto(running.client.page_link()["url"] if control else running.url)
         await page.locator("#connection.good").wait_for()
-        await page.locator("#access", has_text="may command" if control else "read only").wait_for()
+        await page.locator("#access", has_text="commands enabled" if control else "read only").wait_for()
         return page
 
     yield opened

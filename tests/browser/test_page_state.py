@@ -75,7 +75,7 @@ async def test_after_a_restart_the_page_reconnects_and_access_has_expired(runnin
     await expect(page.locator("#login")).to_contain_text("slipguard ctl page")
     await expect(page.locator("#hint-release")).to_have_text("read only")
     await page.goto(running.client.page_link()["url"])
-    await expect(page.locator("#access")).to_have_text("may command")
+    await expect(page.locator("#access")).to_have_text("commands enabled")
     await expect(page.locator("#login")).to_be_hidden()
     await expect(page.locator("#phase")).to_have_text("Holding")
     await expect(page.locator("#force")).to_have_text("–")  # not known after a restart

@@ -80,6 +80,8 @@ export class Events {
   constructor() {
     this.list = byId("events");
     this.events = [];
+    this.kind = byId("event-kind");
+    this.kind.addEventListener("change", () => this.show());
   }
 
   /** Remove all events. */
@@ -102,10 +104,11 @@ export class Events {
   }
 
   show() {
-    byId("no-events").hidden = this.events.length > 0;
-    this.list.hidden = this.events.length === 0;
+    const shown = this.events.filter((event) => isOfKind(event, this.kind.value));
+    byId("no-events").hidden = shown.length > 0;
+    this.list.hidden = shown.length === 0;
     this.list.replaceChildren(
-      ...this.events.map((event) => {
+      ...shown.map((event) => {
         const item = make("li", { className: event.level });
         item.append(make("time", { textContent: timeText(event.at), dateTime: event.at.toISOString() }));
         const content = make("div", {});
@@ -118,6 +121,11 @@ export class Events {
       }),
     );
   }
+}
+
+/** Return whether the filter shows an event; kind: "" for all, "trouble" for warnings and faults. */
+function isOfKind(event, kind) {
+  return kind === "" || event.kind === kind || (kind === "trouble" && event.level !== "info");
 }
 
 /** Return what two events of the same kind have in common: everything but the figures. */

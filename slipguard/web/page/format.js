@@ -38,7 +38,28 @@ const PHASES = {
 };
 const HOLDING_PHASES = new Set(["closing", "reference", "lifting", "holding", "lowering"]);
 
-/** Summarize the state, readable from two meters: {word, detail, tone}; tone: idle hold move slip warn fault. */
+const NEAR_SHARE = 0.5;
+const LIMIT_SHARE = 0.8;
+
+/** Return which shares of the force limit and of the rotation limit a held object uses, 0 to 1; null if unknown. */
+export function shares(state) {
+  if (!HOLDING_PHASES.has(state.phase) || !state.limits) return { force: null, rotation: null };
+  const { force_n, limit_n } = forces(state);
+  const rotation_deg = state.rotation ? state.rotation.rotation_deg : null;
+  return {
+    force: force_n === null ? null : force_n / limit_n,
+    rotation: rotation_deg === null ? null : Math.abs(rotation_deg) / state.limits.rotation_max_deg,
+  };
+}
+
+/** Return the tone of a guarded object: its own while far from both limits, else that of the larger share. */
+function toneNearLimits(tone, state) {
+  const { force, rotation } = shares(state);
+  const share = Math.max(force ?? 0, rotation ?? 0);
+  return share >= LIMIT_SHARE ? "limit" : share >= NEAR_SHARE ? "near" : tone;
+}
+
+/** Summarize the state: {word, detail, tone}; tone: idle hold move near limit slip warn fault. */
 export function headline(state) {
   const gripper = state.gripper;
   if (state.phase === "fault") {
@@ -64,7 +85,7 @@ export function headline(state) {
     return { word: "Not ready", detail: waiting.join("; "), tone: "warn" };
   }
   if (waiting.length) notes.push(waiting.join("; "));
-  return { word, detail: notes.join("; "), tone: state.guarding || state.phase === "idle" ? tone : "warn" };
+  return { word, detail: notes.join("; "), tone: state.guarding || state.phase === "idle" ? toneNearLimits(tone, state) : "warn" };
 }
 
 function faultDetail(state) {
@@ -90,6 +111,12 @@ export function forces(state) {
     target_n: state.target_force_n ?? null,
     limit_n: state.limits ? state.limits.force_max_n : null,
   };
+}
+
+/** Format the last slip and the tightening that followed, with their age; "" if there was none. */
+export function lastSlipText(state) {
+  const slip = state.last_slip;
+  return slip ? `${durationText(Math.max(state.now_s - slip.at_s, 0))} ago: ${slip.text}` : "";
 }
 
 /** Return the display name of a device. */

@@ -51,7 +51,7 @@ export class History {
   }
 }
 
-/** Summarize the values of a key: "−0.3° to +4.1°, known 80 %"; null if all are unknown. */
+/** Summarize the values of a key: "−0.3° to +4.1°; no value for 20 % of the time"; null if all are unknown. */
 export function summary(samples, key, unit, signs) {
   const values = samples.map((one) => one[key]).filter((value) => value !== null && value !== undefined);
   if (!values.length) return null;
@@ -59,5 +59,5 @@ export function summary(samples, key, unit, signs) {
   const [low, high] = [format(Math.min(...values)), format(Math.max(...values))];
   const range = low === high ? `${low}${unit} throughout` : `${low}${unit} to ${high}${unit}`;
   const share = Math.round((100 * values.length) / samples.length);
-  return share < 100 ? `${range}, known ${share} %` : range;
+  return share < 100 ? `${range}; no value for ${100 - share} % of the time` : range;
 }

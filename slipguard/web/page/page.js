@@ -3,10 +3,11 @@
 import { Commands } from "./commands.js";
 import { Events, showDevices, showTiming } from "./details.js";
 import { byId, setAttribute, setText } from "./dom.js";
-import { armText, durationText, forces, headline, plain, signed, timeText } from "./format.js";
+import { armText, durationText, forces, headline, lastSlipText, plain, shares, signed, timeText } from "./format.js";
 import { Graphs } from "./graphs.js";
 import { History } from "./history.js";
 import { FingerImages } from "./images.js";
+import { Keys } from "./keys.js";
 import { LiveStream } from "./live.js";
 import { sessionHeaders } from "./session.js";
 import { Stop } from "./stop.js";
@@ -28,6 +29,7 @@ const graphs = new Graphs();
 const commands = new Commands(fetchAccess);
 const stop = new Stop(commands);
 const images = new FingerImages(() => view.live);
+new Keys(commands);
 
 new LiveStream({
   opened() {
@@ -131,7 +133,7 @@ function showConnection() {
 function showAccess() {
   const pill = byId("access");
   pill.hidden = false;
-  setText(pill, view.control ? "may command" : "read only");
+  setText(pill, view.control ? "commands enabled" : "read only");
   byId("login").hidden = view.control;
   stop.show(view.control);
   setText(byId("login-title"), hadControl() ? ACCESS_EXPIRED : "This page is read-only");
@@ -147,6 +149,9 @@ function showNow() {
   byId("phase").classList.toggle("long", word.length > LONG_HEADLINE);
   const lastKnown = `last known: ${summary.word}${summary.detail ? `, ${summary.detail}` : ""}`;
   setText(byId("detail"), view.live ? summary.detail : lastKnown);
+  const lastSlip = view.live ? lastSlipText(state) : "";
+  byId("last-slip").hidden = lastSlip === "";
+  setText(byId("last-slip"), lastSlip && `Last slip ${lastSlip}`);
   document.title = `${word} – slipguard`;
   setText(byId("announcement"), word);
   showFault(view.live ? state.fault : null);
@@ -170,8 +175,20 @@ function showFigures(state) {
   const target = target_n && Math.abs(target_n - force_n) >= 1 ? `target ${plain(target_n)}, ` : "";
   const known = view.live && state.gripper && limit_n !== null;
   setText(byId("force-limit"), known ? `${target}of ${plain(limit_n)} N` : "");
+  const { force, rotation: rotated } = view.live ? shares(state) : { force: null, rotation: null };
+  showShare("force-use", force);
+  showShare("rotation-use", rotated);
   const arm = view.live ? state.arm : null;
   const lifted_mm = arm ? (state.lifted_mm ?? null) : null;
-  setText(byId("height"), lifted_mm === null ? "–" : `${plain(lifted_mm)} mm`);
+  const notLifted = arm ? "not lifted" : "–";
+  setText(byId("height"), lifted_mm === null ? notLifted : `${plain(lifted_mm)} mm`);
   setText(byId("arm-motion"), arm ? armText(arm) : state.has_arm === false ? "none" : "");
+}
+
+function showShare(id, share) {
+  const meter = byId(id);
+  meter.hidden = share === null;
+  if (share === null) return;
+  meter.value = Math.min(share, 1);
+  meter.title = `${plain(100 * share)} % of the limit`;
 }
