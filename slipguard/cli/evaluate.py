@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slipguard.cli.options import ClusterOption, JobsOption, JsonOption
-from slipguard.cli.terminal import count_bar
+from slipguard.cli.terminal import progress_bar
 from slipguard.errors import InputError
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def run(
     Example: `slipguard evaluate run --sim --out eval/`,
     `slipguard evaluate run --config config.toml --protocol p.toml --camera 4 --intrinsics camera.json --out eval/`
     """
-    from slipguard.evaluation.experiment import prepare, run_simulated
+    from slipguard.evaluation.experiment import run_simulated
     from slipguard.evaluation.protocol import SIMULATED, read_protocol
     from slipguard.tools.parallel import Workers
 
@@ -145,9 +145,8 @@ def run(
         if config is not None or camera is not None or intrinsics is not None:
             raise InputError("--sim simulates the cell and the camera; omit --config, --camera and --intrinsics")
         _check_objects(plan)
-        todo = len(prepare(out, plan, simulated=True))
-        with count_bar("lifts", todo) as progress:
-            run_simulated(out, plan, workers, progress)
+        with progress_bar("lifts") as show:
+            run_simulated(out, plan, workers, lambda share: show("lifts", share))
     else:
         _run_on_cell(out, plan if protocol is not None else None, config, camera, intrinsics)
     _report(out, workers, json)
@@ -171,11 +170,9 @@ def report(
 
 def _report(folder: Path, workers: Any, json: bool) -> None:
     from slipguard.evaluation.experiment import PAGE, write_report
-    from slipguard.evaluation.lift_recording import lift_paths
 
-    count = len(list(lift_paths(folder)))
-    with count_bar("results", count) as progress:
-        figures = write_report(folder, workers, progress)
+    with progress_bar("results") as show:
+        figures = write_report(folder, workers, lambda share: show("results", share))
     if json:
         print(jsonlib.dumps(figures))
         return
@@ -185,17 +182,21 @@ def _report(folder: Path, workers: Any, json: bool) -> None:
 
 def _print_table(figures: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.table import Table
 
-    table = Table("object", "lifts", "error ° mean ± sd", "worst lift", "no estimate")
-    for name, one in figures["per_object"].items():
-        fused = one["fused"]
-        error = "–" if fused["mean"] is None else f"{fused['mean']:.2f} ± {fused['sd']:.2f}"
-        worst = "–" if fused["worst"] is None else f"{fused['worst']:.2f}"
-        note = f" ({one['hard']})" if one["hard"] else ""
-        table.add_row(name + note, str(fused["n"]), error, worst, f"{100 * one['declined_share']:.0f} %")
+    from slipguard.tools.figures import figure_table, text
+
+    rows = [
+        (
+            name + (f" ({one['hard']})" if one["hard"] else ""),
+            str(one["fused"]["n"]),
+            text(one["fused"]["mean"]) + " ± " + text(one["fused"]["sd"]),
+            text(one["fused"]["worst"]),
+            f"{100 * one['declined_share']:.0f} %",
+        )
+        for name, one in figures["per_object"].items()
+    ]
     console = Console(highlight=False)
-    console.print(table)
+    console.print(figure_table(("object", "lifts", "error ° mean ± sd", "worst lift", "no estimate"), rows))
     if figures["turn_error_mean_deg"] is None:
         console.print("no lift could be compared; see `problems` in report.json")
         return

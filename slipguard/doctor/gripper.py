@@ -9,7 +9,7 @@ from slipguard.daemon.loop.driver_values import checked_gripper_state
 from slipguard.devices import ACTIVATION_HINT, Gripper, GripperState
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout
-from slipguard.tools.sample_statistics import percentiles_ms
+from slipguard.tools.figures import percentiles_ms
 
 READS = 100
 LOST_SHARE = 0.01

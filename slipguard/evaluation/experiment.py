@@ -21,11 +21,13 @@ from slipguard.evaluation.report_data import report_json
 from slipguard.evaluation.report_html import write_page
 from slipguard.evaluation.report_plots import draw_curves, draw_errors, draw_masks
 from slipguard.evaluation.simulated_lifts import SimulatedLift, record
-from slipguard.tools.parallel import Workers, each
+from slipguard.tools.experiment import Case, ResultStore, run_cases
+from slipguard.tools.figures import write_json
+from slipguard.tools.parallel import Workers
 
 PROTOCOL = "protocol.json"
 LIFTS = "lifts"
-ANALYSIS = 3
+ANALYSIS = 4
 """Version of the analysis: increase it when the same recording yields other figures."""
 
 
@@ -52,50 +54,46 @@ def recording_path(out: Path, lift: PlannedLift) -> Path:
 
 
 def run_simulated(
-    out: Path, protocol: LiftProtocol, workers: Workers, progress: Callable[[int], None] = lambda done: None
-) -> int:
-    """Simulate all missing lifts on all cores; return their number."""
-    tasks = [
-        SimulatedLift(protocol, lift, recording_path(out, lift)) for lift in prepare(out, protocol, simulated=True)
+    out: Path, protocol: LiftProtocol, workers: Workers, progress: Callable[[float], None] = lambda share: None
+) -> None:
+    """Simulate and analyze all missing lifts on all cores."""
+    planned = prepare(out, protocol, simulated=True)
+    cases = [
+        Case(lift.stem, protocol.seed + lift.number, SimulatedLift(protocol, lift, recording_path(out, lift)))
+        for lift in planned
     ]
-    for _ in each(_record_and_analyze, tasks, workers, named=lambda task: task.lift.stem, progress=progress):
+    for _ in run_cases(_record_and_analyze, cases, workers, named=Case.title, progress=progress):
         pass
-    return len(tasks)
 
 
-def _record_and_analyze(task: SimulatedLift) -> None:
-    result_of(record(task))
+def _record_and_analyze(case: Case[SimulatedLift]) -> LiftResult:
+    return result_of(record(case.parameters))
+
+
+_RESULTS = ResultStore(ANALYSIS, LiftResult.as_json, result_from_json)
 
 
 def result_of(path: Path) -> LiftResult:
     """Return a lift's result: the stored one, or a new one, which is stored. One with a problem is computed again."""
-    stored = path.with_suffix(".json")
-    if stored.exists() and stored.stat().st_mtime_ns >= path.stat().st_mtime_ns:
-        try:
-            before = json.loads(stored.read_text())
-            if before["analysis"] == ANALYSIS and before["result"]["problem"] is None:
-                return result_from_json(before["result"])
-        except (ValueError, TypeError, KeyError):
-            pass  # of another version, or truncated
-    result = analyze(read_lift(path))
-    part = stored.with_suffix(".json.part")
-    part.write_text(json.dumps({"analysis": ANALYSIS, "result": result.as_json()}))
-    part.replace(stored)
-    return result
+    return _RESULTS.result(path, lambda source: analyze(read_lift(source)), keep=lambda result: result.problem is None)
 
 
-def results(out: Path, workers: Workers, progress: Callable[[int], None] = lambda done: None) -> list[LiftResult]:
+def _analyze(case: Case[Path]) -> LiftResult:
+    return result_of(case.parameters)
+
+
+def results(out: Path, workers: Workers, progress: Callable[[float], None] = lambda share: None) -> list[LiftResult]:
     """Return every lift's result, in order. Raises InputError if there are none."""
-    paths = list(lift_paths(out))
-    if not paths:
+    cases = [Case(path.stem, 0, path) for path in lift_paths(out)]
+    if not cases:
         raise InputError(f"{out}: no recordings in {LIFTS}/; run `slipguard evaluate run --out {out}` first")
-    return list(each(result_of, paths, workers, named=lambda path: path.stem, progress=progress))
+    return [result for _, result in run_cases(_analyze, cases, workers, named=Case.title, progress=progress)]
 
 
 PAGE, FIGURES = "report.html", "report.json"
 
 
-def write_report(out: Path, workers: Workers, progress: Callable[[int], None] = lambda done: None) -> dict[str, Any]:
+def write_report(out: Path, workers: Workers, progress: Callable[[float], None] = lambda share: None) -> dict[str, Any]:
     """Write report.html, report.json and the PNGs; return the content of report.json. Raises InputError."""
     lifts = results(out, workers, progress)
     report = report_json(lifts)
@@ -106,9 +104,9 @@ def write_report(out: Path, workers: Workers, progress: Callable[[int], None] = 
         figures["masks"] = out / "masks.png"
     try:
         write_page(out / PAGE, report, _protocol(out), figures)
-        (out / FIGURES).write_text(json.dumps(report, indent=1) + "\n")
     except OSError as error:
         raise InputError(f"{out}: the report cannot be written ({error.strerror})") from None
+    write_json(out / FIGURES, report)
     return report
 
 

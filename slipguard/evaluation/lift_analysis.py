@@ -9,18 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipguard.datasets.mask_scores import dice, iou
-from slipguard.devices import Frame
-from slipguard.errors import FrameCorrupt, InputError
+from slipguard.errors import InputError
 from slipguard.evaluation.clock_alignment import LAG_MAX_S, ClockLag, between_frames, find_lag
 from slipguard.evaluation.external_camera import markers_in
 from slipguard.evaluation.lift_recording import LiftData, TimedImage
 from slipguard.evaluation.marker_rotation import RotationTrace, rotations
 from slipguard.evaluation.markers import MarkerDetector
-from slipguard.perception.segmenter import Segmenter
-from slipguard.sim_lifts.lift_record import IMAGE_SIGN, EstimatedRotation
-from slipguard.sim_lifts.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
+from slipguard.sim_lifts.lift_record import IMAGE_SIGN
 from slipguard.tools.image_files import VIDEO_ENDINGS
-from slipguard.tools.replay import recorded_settings
 
 Array = NDArray[np.float64]
 MASK_GAP_S = 0.012
@@ -85,7 +81,7 @@ def result_from_json(raw: dict[str, Any]) -> LiftResult:
 
 
 def analyze(data: LiftData) -> LiftResult:
-    """Compare all sources of one lift with its markers; if that is impossible, `problem` holds the reason."""
+    """Compare the estimates of one lift with its markers; if that is impossible, `problem` holds the reason."""
     about = data.about
     result = LiftResult(data.path.stem, about.object, about.seen, about.hard, about.repeat, about.number)
     result.simulated = about.camera_lag_s is not None
@@ -112,22 +108,18 @@ def analyze(data: LiftData) -> LiftResult:
     result.final_rotation_deg = float(marker_deg[-1])
     _compare_truth(data, result, trace)
     _curve(result, "markers", camera_s - began_s, marker_deg)
-    fused_rotations = [EstimatedRotation(*row) for row in fused[fused[:, 0] >= began_s - STILL_S].tolist()]
-    for name, estimates in {"fused": fused_rotations, **_estimators(data, began_s)}.items():
-        time_s = np.array([one.captured_at_s for one in estimates])
-        rotation_deg = np.array([one.rotation_deg for one in estimates])
-        if name != "fused":  # single estimators are relative to just before the lift
-            rotation_deg = rotation_deg + float(np.interp(began_s - STILL_S, camera_s, marker_deg))
-        compared = between_frames(time_s, camera_s) & (time_s >= began_s)
-        error = rotation_deg[compared] - np.interp(time_s[compared], camera_s, marker_deg)
-        result.errors[name] = _statistics(error)
-        _curve(result, name, time_s - began_s, rotation_deg)
-        if name == "fused" and error.size:
-            _check_sigma(result, error, np.array([one.sigma_deg for one in estimates])[compared])
-            uncorrected = between_frames(time_s, trace.time_s) & (time_s >= began_s)
-            if uncorrected.any():
-                error_with_lag = rotation_deg[uncorrected] - np.interp(time_s[uncorrected], trace.time_s, marker_deg)
-                result.unaligned_mean_deg = float(np.abs(error_with_lag).mean())
+    time_s, rotation_deg, sigma_deg = fused[fused[:, 0] >= began_s - STILL_S].T
+    compared = between_frames(time_s, camera_s) & (time_s >= began_s)
+    error = rotation_deg[compared] - np.interp(time_s[compared], camera_s, marker_deg)
+    result.errors["fused"] = _statistics(error)
+    _curve(result, "fused", time_s - began_s, rotation_deg)
+    if error.size:
+        scaled = np.abs(error) / sigma_deg[compared]
+        result.within_1_sigma, result.within_2_sigma = float((scaled <= 1.0).mean()), float((scaled <= 2.0).mean())
+        uncorrected = between_frames(time_s, trace.time_s) & (time_s >= began_s)
+        if uncorrected.any():
+            error_with_lag = rotation_deg[uncorrected] - np.interp(time_s[uncorrected], trace.time_s, marker_deg)
+            result.unaligned_mean_deg = float(np.abs(error_with_lag).mean())
     return result
 
 
@@ -207,53 +199,6 @@ def _statistics(error: Array) -> RotationErrors:
         return RotationErrors()
     size = np.abs(error)
     return RotationErrors(error.size, float(size.mean()), float(size.max()))
-
-
-def _check_sigma(result: LiftResult, error: Array, sigma_deg: Array) -> None:
-    scaled = np.abs(error) / sigma_deg
-    result.within_1_sigma, result.within_2_sigma = float((scaled <= 1.0).mean()), float((scaled <= 2.0).mean())
-
-
-def _estimators(data: LiftData, began_s: float) -> dict[str, list[EstimatedRotation]]:
-    """Return each single estimator's rotations from the recorded frames, combined over both fingers."""
-    patches: list[TimedPatch] = []
-    settings = recorded_settings(data.recording)
-    segmenter = Segmenter()
-    for finger, frames in data.fingers.items():
-        recorder = PatchRecorder(finger, settings.new_pipeline(finger, segmenter), patches)
-        for one in frames:
-            if one.record.new_reference:
-                recorder.reset_reference()
-            if one.image is None:
-                continue
-            try:
-                recorder.process(Frame(one.image.pixels(), one.record.captured_at_s, one.record.sequence))
-            except FrameCorrupt:
-                continue
-    by_estimator = rotations_by_estimator(patches, began_s - STILL_S, float("inf"))
-    return {name: _combined(fingers) for name, fingers in by_estimator.items()}
-
-
-def _combined(fingers: list[list[EstimatedRotation]]) -> list[EstimatedRotation]:
-    """Return both fingers' rotations, weighted by their sigmas, at the times of the one with more estimates."""
-    available = sorted((one for one in fingers if one), key=len, reverse=True)
-    if len(available) < 2:
-        return available[0] if available else []
-    first, second = available
-    other_s = np.array([one.captured_at_s for one in second])
-    other_deg = np.array([one.rotation_deg for one in second])
-    combined = []
-    for one in first:
-        nearest = int(np.argmin(np.abs(other_s - one.captured_at_s)))
-        if abs(other_s[nearest] - one.captured_at_s) > 0.05:
-            combined.append(one)
-            continue
-        a, b = one.sigma_deg**-2, second[nearest].sigma_deg ** -2
-        at_deg = float(np.interp(one.captured_at_s, other_s, other_deg))
-        combined.append(
-            EstimatedRotation(one.captured_at_s, (a * one.rotation_deg + b * at_deg) / (a + b), (a + b) ** -0.5)
-        )
-    return combined
 
 
 def _score_masks(data: LiftData, result: LiftResult) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 
 from slipguard import __version__
 from slipguard.evaluation.protocol import LiftProtocol
-from slipguard.evaluation.report_data import ESTIMATORS, PAPER, PAPER_DICE, PAPER_IOU
+from slipguard.evaluation.report_data import PAPER, PAPER_DICE, PAPER_IOU
+from slipguard.tools.figures import text as _n
 
 STYLE = """
 :root { color-scheme: light dark; --ink: #1d2733; --soft: #5b6672; --line: #d5dbe1; --paper: #ffffff; --band: #f3f5f7; }
@@ -43,8 +44,6 @@ def write_page(path: Path, report: dict[str, Any], protocol: LiftProtocol | None
         _figure(figures, "errors", "Error per object: each dot is the mean of one lift, boxes show quartiles."),
         "<h2>Objects</h2>",
         _object_table(report),
-        "<h2>Estimators</h2>",
-        _estimator_table(report),
         "<h2>Rotation over time</h2>",
         _figure(figures, "curves", "One lift of each object, the one with the median error."),
         "<h2>Segmentation</h2>" if report["dice"] or "masks" in figures else "",
@@ -96,7 +95,6 @@ def _not_comparable(report: dict[str, Any]) -> str:
 
 def _paper_comparison(report: dict[str, Any]) -> str:
     paper = report["paper_real_cell_as_published"]
-    skeleton = report["per_estimator"]["skeleton"]
     rows = [
         [
             "rotation error, ° (mean ± sd)",
@@ -108,7 +106,6 @@ def _paper_comparison(report: dict[str, Any]) -> str:
             _n(report["turn_error_worst_object_deg"]),
             f"about {paper['turn_error_worst_object_deg']:g}",
         ],
-        ["the paper's estimator (skeleton), °", _pm(skeleton), "as above"],
         ["lifts compared", report["lifts_compared"], "45"],
         ["round contacts", "registered by texture, or declined", "no estimate"],
     ]
@@ -150,19 +147,6 @@ def _object_table(report: dict[str, Any]) -> str:
     head = ["object", "", "lifts", "rotation, °", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean",
             "declined"]  # fmt: skip
     return _table(head, rows, "Mean over the frames of a lift, then over lifts.")
-
-
-def _estimator_table(report: dict[str, Any]) -> str:
-    rows = []
-    for name in ESTIMATORS:
-        one = report["per_estimator"][name]
-        label = "fused (used by the guard)" if name == "fused" else name
-        rows.append([label, one["n"], _pm(one), _n(one["worst"]), _interval(one)])
-    label = f"skeleton, paper, real cell{_not_comparable(report)}"
-    rows.append([f"<i>{label}</i>", 45,
-                 f"{PAPER['turn_error_mean_deg']} ± {PAPER['turn_error_sd_deg']}", "", ""])  # fmt: skip
-    head = ["estimator", "lifts", "error, ° (mean ± sd)", "worst lift", "95 % interval of the mean"]
-    return _table(head, rows, "A declined estimate has no error, so compare the number of lifts too.")
 
 
 def _ground_truth(report: dict[str, Any]) -> str:
@@ -224,10 +208,6 @@ def _table(head: list[str], rows: list[list[Any]], caption: str) -> str:
     body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
     table = f"<table><caption>{caption}</caption><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
     return f"<div class='wide'>{table}</div>"
-
-
-def _n(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
 
 
 def _interval(one: dict[str, Any]) -> str:

@@ -36,9 +36,9 @@ def draw_errors(lifts: list[LiftResult], path: Path) -> None:
         ha="right", va="bottom", fontsize=8, color=INK,
     )  # fmt: skip
     rng = np.random.default_rng(0)
-    for place, one in enumerate(objects):
-        values = errors_of([lift for lift in lifts if lift.object == one.name], "fused")
-        color = SEEN if one.seen else UNSEEN
+    for place, own in enumerate(objects.values()):
+        values = errors_of(own)
+        color = SEEN if own[0].seen else UNSEEN
         if not values:
             axes.annotate("no\nestimate", (place, 0.05), ha="center", va="bottom", fontsize=8, color=INK)
             continue
@@ -47,12 +47,12 @@ def draw_errors(lifts: list[LiftResult], path: Path) -> None:
             part.set_color(color)
         box["boxes"][0].set_facecolor((1, 1, 1, 0.8))
         axes.plot(place + rng.uniform(-0.12, 0.12, len(values)), values, ".", color=color, ms=5, alpha=0.8)
-    names = [one.name.replace("_", " ") + (f"\n({one.hard})" if one.hard else "") for one in objects]
+    names = [name.replace("_", " ") + (f"\n({own[0].hard})" if own[0].hard else "") for name, own in objects.items()]
     axes.set_xticks(range(len(objects)), names, fontsize=8)
     axes.set_ylim(0.0, None)
     axes.set_ylabel("mean error of a lift, degrees")
     axes.plot([], [], "s", color=UNSEEN, label="unseen in training")
-    if any(one.seen for one in objects):
+    if any(lift.seen for lift in lifts):
         axes.plot([], [], "s", color=SEEN, label="seen in training")
     axes.legend(loc="upper left", fontsize=8, frameon=False)
     _plain(axes)
@@ -140,11 +140,8 @@ def _with_contour(image: NDArray[np.uint8], mask: NDArray[np.bool_], color: tupl
 
 
 def _median_lifts(lifts: list[LiftResult]) -> list[LiftResult]:
-    chosen = []
-    for name in dict.fromkeys(lift.object for lift in lifts):
-        ranked = sorted((lift for lift in lifts if lift.object == name), key=_fused_error)
-        chosen.append(ranked[len(ranked) // 2])
-    return chosen
+    """Return the lift with the median error of each object."""
+    return [sorted(own, key=_fused_error)[len(own) // 2] for own in by_object(lifts).values()]
 
 
 def _fused_error(lift: LiftResult) -> float:

@@ -27,7 +27,6 @@ from slipguard.sim.catalogue import object_names
 from slipguard.sim.scenario import scenario
 from slipguard.sim.world import World
 from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
-from slipguard.sim_lifts.single_estimators import PatchRecorder, TimedPatch, rotations_by_estimator
 from slipguard.tools.waiting import running_service, wait_until
 
 TRUTH_STEP_S = 0.004
@@ -100,20 +99,14 @@ async def run_campaign(settings: CampaignSettings, show: Callable[[LiftProgress]
             return ThreadWorker(name) if settings.realtime else FixedLatencyWorker(STATED_LATENCY_S)
 
         controller = control_step if settings.guarded else unguarded_step
-        patches: list[TimedPatch] = []
         service = build_service(
             config,
             world=world,
             make_worker=make_worker,
             controller=controller,
-            wrap_pipeline=lambda finger, pipeline: PatchRecorder(finger, pipeline, patches),
         )
         async with running_service(service) as running:
-            records = await _lifts(settings, service, world, running, show)
-        for record in records:
-            if record.reference_s is not None:
-                record.other_estimators = rotations_by_estimator(patches, record.reference_s, record.ended_at_s)
-        return records
+            return await _lifts(settings, service, world, running, show)
 
 
 async def _lifts(

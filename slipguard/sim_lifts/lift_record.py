@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slipguard.devices import FINGERS
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.world import WorldTruth
-from slipguard.tools.sample_statistics import percentiles_ms, rounded
+from slipguard.tools.figures import Figures, percentiles_ms, rounded
 
 IMAGE_SIGN = {"left": 1.0, "right": -1.0}
 """A rotation that is counter-clockwise in the left image is clockwise in the right image."""
@@ -38,25 +38,12 @@ class LiftRecord:
     truth: list[WorldTruth] = field(default_factory=list)
     estimates: dict[str, list[Estimate]] = field(default_factory=lambda: {name: [] for name in FINGERS})
     fused: list[EstimatedRotation] = field(default_factory=list)
-    other_estimators: dict[str, list[list[EstimatedRotation]]] = field(default_factory=dict)
-    """By estimator name and finger: the estimates that it gives for the same contact patches."""
     latency_s: list[float] = field(default_factory=list)
     deadlines_missed: int = 0
     outcome: str = "held"
     why: str = ""
     ended_at_s: float = float("inf")
     """When the object was dropped or put down; frames captured later do not count."""
-
-    @property
-    def reference_s(self) -> float | None:
-        """Capture time of the first frame with a reference, in either finger."""
-        firsts = [
-            estimate.captured_at_s
-            for name in FINGERS
-            for estimate in self.estimates[name]
-            if estimate.rotation_deg is not None
-        ]
-        return min(firsts, default=None)
 
     @property
     def true_rotation_deg(self) -> float:
@@ -105,7 +92,7 @@ class LiftRecord:
 
 @dataclass(frozen=True, slots=True)
 class SourceRotationErrors:
-    """Rotation errors of one source (a finger, the fused rotation, an estimator) over all lifts that count."""
+    """Rotation errors of one source (a finger, or both fused) over all lifts that count."""
 
     source: str
     lifts: int = 0
@@ -116,28 +103,19 @@ class SourceRotationErrors:
 
 
 def rotation_errors(records: list[LiftRecord], source: str) -> SourceRotationErrors:
-    """Return the errors of `source`: "left", "right", "fused" or the name of an estimator."""
+    """Return the errors of `source`: "left", "right" or "fused"."""
     per_object: dict[str, list[NDArray[np.float64]]] = {}
     for record in records:
-        if not record.counts:
-            continue
-        if source in FINGERS:
-            estimated = [record.measured(source)]
-        elif source == "fused":
-            estimated = [record.fused]
-        else:
-            estimated = record.other_estimators.get(source, [])
-        errors = np.concatenate([np.empty(0), *(record.errors_deg(one) for one in estimated)])
-        if errors.size:
+        errors = np.abs(record.errors_deg(record.fused if source == "fused" else record.measured(source)))
+        if record.counts and errors.size:
             per_object.setdefault(record.object_name, []).append(errors)
     if not per_object:
         return SourceRotationErrors(source)
-    means = {name: float(np.mean(np.abs(np.concatenate(parts)))) for name, parts in per_object.items()}
-    every = np.abs(np.concatenate([part for parts in per_object.values() for part in parts]))
+    means = {name: float(np.mean(np.concatenate(parts))) for name, parts in per_object.items()}
+    every = Figures.of(np.concatenate([part for parts in per_object.values() for part in parts]))
     worst = max(means, key=lambda name: means[name])
     lifts = sum(len(parts) for parts in per_object.values())
-    p95_deg = float(np.percentile(every, 95))
-    return SourceRotationErrors(source, lifts, float(every.mean()), p95_deg, means[worst], worst)
+    return SourceRotationErrors(source, lifts, every.mean, every.p95, means[worst], worst)
 
 
 def latency_figures(latencies_s: list[float], *, realtime: bool) -> dict[str, float | None]:

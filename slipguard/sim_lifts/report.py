@@ -7,16 +7,25 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from slipguard.devices import FINGERS
-from slipguard.sim_lifts.lift_record import IMAGE_SIGN, LiftRecord, latency_figures, rotation_errors, summary
+from slipguard.sim_lifts.lift_record import (
+    IMAGE_SIGN,
+    EstimatedRotation,
+    LiftRecord,
+    latency_figures,
+    rotation_errors,
+    summary,
+)
 from slipguard.tools import plotting as figures
-from slipguard.tools.sample_statistics import mean, rounded
+from slipguard.tools.figures import Figures, figure_table, rounded, text
 
-ESTIMATORS = ("skeleton", "pca", "ellipse", "moments")
+SOURCES = (*FINGERS, "fused")
+HEADS = (
+    "object", "true\nrot.", "meas.\nrot.", "error", "sigma", "grip/\nneed N", "", "p50/p99\nms", "skipped", "late",
+)  # fmt: skip
 WIDE = 90
 """Terminal width from which table columns have a gap."""
 LEGEND = (
@@ -36,7 +45,7 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
         "why": record.why or None,
         "true_turn_deg": round(record.true_rotation_deg, 2),
         "measured_turn_deg": round(peak_deg, 2) if rotations_deg else None,
-        "turn_error_deg": rounded(mean(np.abs(record.errors_deg(record.fused))), 3),
+        "turn_error_deg": rounded(Figures.of(np.abs(record.errors_deg(record.fused))).mean, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
         "peak_force_n": round(max((now.force_n for now in record.truth), default=0.0), 1),
         "needed_force_n": round(max((now.needed_force_n for now in record.truth), default=0.0), 1),
@@ -51,7 +60,7 @@ def print_lines(records: list[LiftRecord], *, realtime: bool) -> None:
     """Print one JSON object per lift, then the errors of each source, then the summary as the last line."""
     for record in records:
         print(json.dumps({"lift": record_line(record, realtime=realtime)}))
-    for source in (*FINGERS, "fused", *ESTIMATORS):
+    for source in SOURCES:
         print(json.dumps({"turn_errors": asdict(rotation_errors(records, source))}))
     print(json.dumps({"summary": summary(records, realtime=realtime)}), flush=True)
 
@@ -87,52 +96,40 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
 
 def _lift_table(records: list[LiftRecord], *, realtime: bool, gap: int) -> Table:
     """Return a table with one row per lift; without `gap` it fits into 80 columns."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, gap, 0, 0))
-    for name in ("object", "true\nrot.", "meas.\nrot.", "error", "sigma", "grip/\nneed N"):
-        table.add_column(name, justify="left" if name == "object" else "right", no_wrap=name != "object")
-    table.add_column("", no_wrap=True)
-    table.add_column("p50/p99\nms", justify="right", no_wrap=True)
-    table.add_column("skipped")
-    table.add_column("late", justify="right", no_wrap=True)
+    rows = []
     for record in records:
         line = record_line(record, realtime=realtime)
         color = {"held": "green", "dropped": "red"}.get(record.outcome, "yellow")
         share = {name: count / max(record.frames, 1) for name, count in record.skips.items()}
-        table.add_row(
-            record.object_name,
-            _degrees(line["true_turn_deg"], "{:+.1f}"),
-            _degrees(line["measured_turn_deg"], "{:+.1f}"),
-            _degrees(line["turn_error_deg"], "{:.2f}"),
-            _degrees(line["sigma_deg"], "{:.2f}"),
-            f"{line['peak_force_n']:.0f}/{line['needed_force_n']:.0f}",
-            f"[{color}]{record.outcome}[/]",
-            f"{line['latency_p50_ms']:.1f}/{line['latency_p99_ms']:.1f}" if line["latency_p50_ms"] is not None else "–",
-            "\n".join(f"{100 * value:.0f}% {name}" for name, value in share.items()) or "–",
-            str(record.deadlines_missed),
+        latency = latency_figures(record.latency_s, realtime=realtime)
+        p50_ms, p99_ms = latency["latency_p50_ms"], latency["latency_p99_ms"]
+        rows.append(
+            (
+                record.object_name,
+                _number(line["true_turn_deg"], "{:+.1f}"),
+                _number(line["measured_turn_deg"], "{:+.1f}"),
+                _number(line["turn_error_deg"]),
+                _number(line["sigma_deg"]),
+                f"{line['peak_force_n']:.0f}/{line['needed_force_n']:.0f}",
+                f"[{color}]{record.outcome}[/]",
+                "–" if p50_ms is None or p99_ms is None else f"{p50_ms:.1f}/{p99_ms:.1f}",
+                "\n".join(f"{100 * value:.0f}% {name}" for name, value in share.items()) or "–",
+                str(record.deadlines_missed),
+            )
         )
-    return table
+    return figure_table(HEADS, rows, gap=gap)
 
 
 def _error_table(records: list[LiftRecord]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
-    for name in ("source", "lifts", "mean", "p95", "worst object"):
-        table.add_column(name, justify="left" if name == "source" else "right", no_wrap=True)
-    for source in (*FINGERS, "fused", *ESTIMATORS):
-        errors = rotation_errors(records, source)
-        if errors.mean_deg is None:
-            table.add_row(source, "0", "–", "–", "–")
-            continue
-        table.add_row(
-            source,
-            str(errors.lifts),
-            f"{errors.mean_deg:.2f}°",
-            f"{errors.p95_deg:.2f}°",
-            f"{errors.worst_object_deg:.2f}° ({errors.worst_object})",
-        )
-    return table
+    rows = []
+    for source in SOURCES:
+        one = rotation_errors(records, source)
+        worst = "–" if one.worst_object_deg is None else f"{one.worst_object_deg:.2f}° ({one.worst_object})"
+        rows.append((source, str(one.lifts), text(one.mean_deg, "{:.2f}°"), text(one.p95_deg, "{:.2f}°"), worst))
+    return figure_table(("source", "lifts", "mean", "p95", "worst object"), rows)
 
 
-def _degrees(value: object, form: str = "{:+.1f}°") -> str:
+def _number(value: object, form: str = "{:.2f}") -> str:
     return "–" if value is None else form.format(value)
 
 
@@ -152,32 +149,22 @@ def draw(records: list[LiftRecord], path: Path) -> None:
         rotations_deg = [now.rotation_deg - record.truth[0].rotation_deg for now in record.truth]
         upper.plot(truth_s, rotations_deg, color="black", lw=2.2, label="true")
         for finger, color in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
-            estimated = record.measured(finger)
-            upper.plot(
-                [one.captured_at_s - start_s for one in estimated],
-                [one.rotation_deg for one in estimated],
-                ".",
-                ms=2.5,
-                color=color,
-                label=finger if IMAGE_SIGN[finger] > 0 else f"{finger} (sign inverted)",
-            )
-        upper.plot(
-            [one.captured_at_s - start_s for one in record.fused],
-            [one.rotation_deg for one in record.fused],
-            color="tab:red",
-            lw=1.0,
-            label="fused",
-        )
+            label = finger if IMAGE_SIGN[finger] > 0 else f"{finger} (sign inverted)"
+            upper.plot(*_points(record.measured(finger), start_s), ".", ms=2.5, color=color, label=label)
+        upper.plot(*_points(record.fused, start_s), color="tab:red", lw=1.0, label="fused")
         upper.set_ylabel("rotation / °")
-        upper.grid(alpha=0.3)
         upper.set_title(f"{record.object_name}: {record.outcome}", fontsize=10)
         lower.plot(truth_s, [now.force_n for now in record.truth], color="tab:green", label="grip, per finger")
         lower.plot(truth_s, [now.needed_force_n for now in record.truth], color="tab:gray", ls="--", label="needed")
         lower.set_ylabel("force / N")
         lower.set_xlabel("time / s")
         lower.set_ylim(bottom=0)
-        lower.grid(alpha=0.3)
-        if index == 0:
-            upper.legend(fontsize=7, loc="best")
-            lower.legend(fontsize=7, loc="best")
+        for axes in (upper, lower):
+            axes.grid(alpha=0.3)
+            if index == 0:
+                axes.legend(fontsize=7, loc="best")
     figures.save(drawing, path)
+
+
+def _points(estimated: list[EstimatedRotation], start_s: float) -> tuple[list[float], list[float]]:
+    return [one.captured_at_s - start_s for one in estimated], [one.rotation_deg for one in estimated]

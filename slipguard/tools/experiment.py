@@ -37,12 +37,17 @@ class Case(Generic[P]):
     def __str__(self) -> str:
         return f"{self.name}, seed {self.seed}"
 
+    def title(self) -> str:
+        """Return the name: for messages about cases whose name is unique."""
+        return self.name
+
 
 def run_cases(
     run: Callable[[Case[P]], R],
     cases: Sequence[Case[P]],
     workers: Workers | None = None,
     *,
+    named: Callable[[Case[P]], str] = str,
     progress: Callable[[float], None] = lambda share: None,
     seconds: float = math.inf,
     at_least: int = 0,
@@ -53,6 +58,7 @@ def run_cases(
     Args:
         run: Function of a case; picklable, except for one process.
         workers: None: this process.
+        named: Name of a case in messages.
         progress: Called with the share of the cases, or of the time if that is larger.
         at_least: Number of cases that run whatever time they take.
 
@@ -60,7 +66,7 @@ def run_cases(
         SlipguardError: From a case, with the case in front.
     """
     began_s = clock()
-    with closing(each(run, cases, Workers(jobs=1) if workers is None else workers)) as outcomes:
+    with closing(each(run, cases, Workers(jobs=1) if workers is None else workers, named=named)) as outcomes:
         for done, (case, outcome) in enumerate(zip(cases, outcomes, strict=False), 1):
             spent_s = clock() - began_s
             progress(min(max(done / len(cases), spent_s / seconds), 1.0))

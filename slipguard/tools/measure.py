@@ -21,8 +21,8 @@ from slipguard.perception.estimate import Estimate
 from slipguard.perception.pipeline import Pipeline
 from slipguard.perception.segmenter import Segmenter
 from slipguard.perception.settings import PerceptionSettings
+from slipguard.tools.figures import rounded
 from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
-from slipguard.tools.sample_statistics import rounded
 
 PX_PER_MM = 18.5
 """Scale of a DIGIT at 240 x 320; only shifts depend on it."""

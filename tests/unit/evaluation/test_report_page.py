@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
 
 import pytest
 
-from slipguard.cli.evaluate import _print_table
-from slipguard.evaluation.report_data import ESTIMATORS, PAPER
-from slipguard.evaluation.report_html import _estimator_table, _headline, _paper_comparison
+from slipguard.evaluation.lift_analysis import LiftResult, RotationErrors
+from slipguard.evaluation.report_data import PAPER, report_json
+from slipguard.evaluation.report_html import write_page
 
 NOTE = "simulated; not comparable"
-FIGURES = {"n": 2, "mean": 0.4, "sd": 0.1, "worst": 0.5, "low": 0.3, "high": 0.5}
 
 
-def report(simulated: bool) -> dict[str, Any]:
-    """Return the figures of a report that its head needs."""
-    return {
-        "simulated": simulated, "lifts_compared": 2, "turn_error_mean_deg": 0.4, "turn_error_sd_deg": 0.1,
-        "turn_error_worst_object_deg": 0.5, "declined_share": 0.1, "within_1_sigma": 0.7, "within_2_sigma": 0.95,
-        "per_estimator": dict.fromkeys(ESTIMATORS, FIGURES), "dice": None, "per_object": {},
-        "paper_real_cell_as_published": PAPER,
-    }  # fmt: skip
+def lift(name: str, repeat: int, mean_deg: float | None, *, simulated: bool) -> LiftResult:
+    result = LiftResult(f"{name}-{repeat}", name, name == "pen", "", repeat, repeat, simulated=simulated)
+    result.errors = {} if mean_deg is None else {"fused": RotationErrors(90, mean_deg, 2.0 * mean_deg)}
+    result.problem = None if mean_deg is not None else "the markers were not <visible>"
+    result.final_rotation_deg = 12.0
+    return result
 
 
-@pytest.mark.parametrize("part", [_headline, _paper_comparison, _estimator_table])
-def test_each_part_with_a_figure_of_the_paper_says_so(part: Any) -> None:
-    shown = part(report(simulated=True))
-    assert str(PAPER["turn_error_mean_deg"]) in shown
-    assert NOTE in shown
-    assert NOTE not in part(report(simulated=False))
-
-
-def test_the_terminal_says_so_too(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
-    _print_table(report(simulated=True))
-    assert f"{PAPER['turn_error_mean_deg']}° ± {PAPER['turn_error_sd_deg']}° (this cell is {NOTE})" in (
-        capsys.readouterr().out
-    )
-    _print_table(report(simulated=False))
-    assert NOTE not in capsys.readouterr().out
+@pytest.mark.parametrize("simulated", [True, False])
+def test_the_papers_figures_are_marked_where_the_cell_is_simulated(simulated: bool, tmp_path: Path) -> None:
+    lifts = [lift("bar", 1, 0.2, simulated=simulated), lift("bar", 2, 0.4, simulated=simulated)]
+    lifts += [lift("pen", 1, 0.9, simulated=simulated), lift("pen", 2, None, simulated=simulated)]
+    report = report_json(lifts)
+    assert (report["lifts"], report["lifts_compared"], report["simulated"]) == (4, 3, simulated)
+    assert report["turn_error_mean_deg"] == pytest.approx(0.5)
+    assert report["turn_error_worst_object_deg"] == 0.9
+    assert report["per_object"]["bar"]["fused"]["n"] == 2
+    assert report["per_object"]["bar"]["fused"]["low"] <= 0.3 <= report["per_object"]["bar"]["fused"]["high"]
+    assert report["seen"]["mean"] == 0.9
+    write_page(tmp_path / "report.html", report, None, {})
+    page = (tmp_path / "report.html").read_text()
+    assert str(PAPER["turn_error_mean_deg"]) in page
+    assert (NOTE in page) is simulated
+    assert "not &lt;visible&gt;" in page
