@@ -162,13 +162,8 @@ class CellEmulator(ControlledEmulator):
         self.world.truth(_now_s())
         if settings.object != "none":
             self._place(settings.object, settings.seed)
-        try:
-            for camera in self.cameras.values():
-                camera.plug()
-        except OSError as error:
-            raise InputError(
-                f"{self.places.folder}: no socket can be created there: {error.strerror}; name another folder"
-            ) from None
+        for camera in self.cameras.values():
+            camera.plug()
         await self.gripper.start()
         await self.arm.start()
         self._power_gripper()

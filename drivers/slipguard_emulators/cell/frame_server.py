@@ -9,9 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import socket
 import struct
-from collections.abc import Coroutine
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame, TactileSensor
 from slipguard.errors import DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
+from slipguard_emulators.stream_server import Client, StreamServer
 
 VERSION = 1
 FRAME_HEAD = struct.Struct("<4sHHIdQ")
@@ -48,7 +47,7 @@ def pack_frame(image: NDArray[np.uint8], captured_at_s: float, sequence: int) ->
     return FRAME_HEAD.pack(FRAME_MAGIC, width, height, image.nbytes, captured_at_s, sequence) + image.tobytes()
 
 
-class FrameServer:
+class FrameServer(StreamServer):
     """Opens `sensor` for a client and sends its frames, faults included.
 
     A repeated image is sent as a new frame, a damaged one as a frame with too few pixels. Frames that arrive before the
@@ -56,85 +55,51 @@ class FrameServer:
     """
 
     def __init__(self, path: Path, sensor: TactileSensor, fps: float) -> None:
-        self.path = path
+        super().__init__(path, self._take_turns)
         self.sent = 0
         self._sensor = sensor
         self._fps = fps
-        self._listening: socket.socket | None = None
-        self._reader: asyncio.Task[None] | None = None
+        self._free = asyncio.Event()
+        """Whether no client is connected."""
+        self._free.set()
         self._lingering: asyncio.Task[None] | None = None
         self._last: Frame | None = None
         self._sequence = 0
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    @property
-    def plugged(self) -> bool:
-        """Whether clients can connect."""
-        return self._listening is not None
 
     @property
     def read(self) -> bool:
         """Whether a client is connected."""
-        return self._reader is not None and not self._reader.done()
+        return not self._free.is_set()
 
     def plug(self) -> None:
-        """Create the socket. Idempotent. Raises OSError."""
-        if self._listening is not None:
-            return
-        self.path.unlink(missing_ok=True)
-        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
-        try:
-            listening.bind(str(self.path))
-            self.path.chmod(SOCKET_MODE)
-            listening.listen(4)
-        except BaseException:
-            listening.close()
-            raise
-        self._listening = listening
-        self._start(self._accept(listening), "accept")
-
-    def unplug(self) -> None:
-        """Remove the socket and disconnect, even in the middle of a frame. Idempotent."""
-        if self._listening is None:
-            return
-        self._listening.close()
-        self._listening = None
-        self.path.unlink(missing_ok=True)
-        for task in self._tasks:
-            task.cancel()
+        """Create the socket. Idempotent. Raises InputError."""
+        super().plug()
+        Path(self.path).chmod(SOCKET_MODE)
 
     async def close(self) -> None:
         """Remove the socket and end all tasks."""
-        self.unplug()
-        while self._tasks:
-            await asyncio.wait(self._tasks)
+        await super().close()
         await self._sensor.close()
 
-    def _start(self, work: Coroutine[None, None, None], what: str) -> asyncio.Task[None]:
-        task: asyncio.Task[None] = asyncio.create_task(work, name=f"{self.path.name}: {what}")
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
+    async def _take_turns(self, client: Client) -> None:
+        reader, writer = client
+        try:
+            await asyncio.wait_for(self._free.wait(), LEAVING_S)
+        except TimeoutError:
+            writer.write(pack_refusal("another program is reading this camera; stop it first"))
+            return
+        self._free.clear()
+        try:
+            await self._serve_one(reader, writer)
+        finally:
+            self._free.set()
 
-    async def _accept(self, listening: socket.socket) -> None:
-        loop = asyncio.get_running_loop()
-        while True:
-            connection, _ = await loop.sock_accept(listening)
-            reader, writer = await asyncio.open_unix_connection(sock=connection)
-            if self._reader is not None:
-                await asyncio.wait([self._reader], timeout=LEAVING_S)
-            if self.read:
-                writer.write(pack_refusal("another program is reading this camera; stop it first"))
-                writer.close()
-            else:
-                self._reader = self._start(self._serve(reader, writer), "reader")
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _serve_one(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Send until the client disconnects; it never sends anything."""
         if self._lingering is not None:
             self._lingering.cancel()
-        hung_up = asyncio.create_task(reader.read(1), name=f"{self.path.name}: hung up")
-        sending = asyncio.create_task(self._send(writer), name=f"{self.path.name}: frames")
+        hung_up = asyncio.create_task(reader.read(1), name=f"{self.path}: hung up")
+        sending = asyncio.create_task(self._send(writer), name=f"{self.path}: frames")
         try:
             await asyncio.wait([hung_up, sending], return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -143,7 +108,7 @@ class FrameServer:
             await asyncio.gather(hung_up, sending, return_exceptions=True)
             writer.transport.abort()
             if self.plugged:
-                self._lingering = self._start(self._linger(), "linger")
+                self._lingering = self._start(self._linger())
             else:
                 await self._sensor.close()
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from slipguard.emulator import Report
-from slipguard.errors import InputError
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
 from slipguard_emulators.digit.frames import encode_image, read, rendered_images, torn_image
 from slipguard_emulators.digit.usb_descriptors import PRODUCT_ID, VENDOR_ID
 from slipguard_emulators.digit.usbip import BulkInEndpoint, UsbDevice, UsbIpServer
 from slipguard_emulators.digit.uvc_device import UvcDevice
+from slipguard_emulators.stream_server import StreamServer
 
 Image = NDArray[np.uint8]
 
@@ -82,40 +82,27 @@ class DigitEmulator(ControlledEmulator):
         self.cameras = {
             f"1-{number}": EmulatedCamera(self, serial, number) for number, serial in enumerate(settings.serial, 1)
         }
-        self._usbip = UsbIpServer(self.cameras)
-        self._server: asyncio.Server | None = None
-        self._address = ""
+        self._server = StreamServer((settings.host, settings.port), UsbIpServer(self.cameras).serve)
 
     @property
     def address(self) -> str:
         """Host and port."""
-        return self._address
+        return self._server.path
 
     @property
     def port(self) -> int:
         """Where it listens; known after `start`."""
-        return int(self._address.rpartition(":")[2])
+        return int(self.address.rpartition(":")[2])
 
     async def start(self) -> None:
         """Render or read the images and listen. Raises InputError if that is not possible."""
-        settings = self.settings
         for camera in self.cameras.values():
             await asyncio.to_thread(getattr, camera, "images")
-        try:
-            self._server = await asyncio.start_server(self._usbip.serve, settings.host, settings.port)
-        except OSError as error:
-            where = f"{settings.host}:{settings.port}"
-            raise InputError(f"cannot listen on {where} ({error.strerror or error}); choose another port") from None
-        host, port = self._server.sockets[0].getsockname()[:2]
-        self._address = f"{host}:{port}"
+        self._server.plug()
 
     async def stop(self) -> None:
         """Disappear."""
-        if self._server is not None:
-            self._server.close()
-            await self._usbip.stop()
-            await self._server.wait_closed()
-            self._server = None
+        await self._server.close()
 
     def state(self) -> dict[str, object]:
         """Return the true state."""

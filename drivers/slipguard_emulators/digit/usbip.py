@@ -8,12 +8,13 @@ The client is `usbip attach -r HOST -b 1-1`. The end of the connection unplugs t
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import struct
 from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from typing import Protocol
+
+from slipguard_emulators.stream_server import Client
 
 VERSION = 0x0111
 LIST_REQUEST, LIST_REPLY, IMPORT_REQUEST, IMPORT_REPLY = 0x8005, 0x0005, 0x8003, 0x0003
@@ -148,29 +149,10 @@ class UsbIpServer:
     def __init__(self, devices: Mapping[str, UsbDevice]) -> None:
         self._devices = devices
         self._taken: set[str] = set()
-        self._sessions: set[asyncio.Task[None]] = set()
 
-    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def serve(self, client: Client) -> None:
         """Serve one connection."""
-        session = asyncio.current_task()
-        assert session is not None
-        self._sessions.add(session)
-        try:
-            # Cancelled only by `stop`, and asyncio's streams would log a cancelled session as an error.
-            with contextlib.suppress(asyncio.IncompleteReadError, ConnectionError, asyncio.CancelledError):
-                await self._talk(reader, writer)
-        finally:
-            self._sessions.discard(session)
-            writer.transport.abort()
-
-    async def stop(self) -> None:
-        """End every connection."""
-        sessions = list(self._sessions)
-        for session in sessions:
-            session.cancel()
-        await asyncio.gather(*sessions, return_exceptions=True)
-
-    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        reader, writer = client
         _, code, _ = OPERATION.unpack(await reader.readexactly(OPERATION.size))
         if code == LIST_REQUEST:
             there = [(bus_id, device) for bus_id, device in self._devices.items() if device.plugged]

@@ -15,11 +15,11 @@ from slipguard.cancellation import TimerGroup
 from slipguard.emulator import Report
 from slipguard.errors import CommandRefused
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
+from slipguard_emulators.robotiq.forwarder import ForwarderPort
 from slipguard_emulators.robotiq.jaws import JawsPlant, SimpleJaws
 from slipguard_emulators.robotiq.modbus_frames import ModbusRequest, answer, crc16, frame_bytes, parse
 from slipguard_emulators.robotiq.pseudo_terminal import EmulatedPort
 from slipguard_emulators.robotiq.registers import FIGURES, RACT, ActivationStage, GripperRegisters
-from slipguard_emulators.robotiq.tcp_port import ForwarderPort
 from slipguard_emulators.robotiq.urcap import UrcapPort
 
 BITS_PER_BYTE = 10

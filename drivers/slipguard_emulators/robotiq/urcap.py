@@ -25,13 +25,13 @@ from functools import partial
 
 from slipguard.cancellation import TimerGroup
 from slipguard_emulators.robotiq.registers import OUTPUTS, RACT, RARD, RATR, RGTO, GripperRegisters
-from slipguard_emulators.robotiq.tcp_port import Client, TcpListener
+from slipguard_emulators.stream_server import Client, StreamServer
 
 STATUS = ("POS", "PRE", "OBJ", "STA", "FLT")
 LINE_MAX = 1024
 
 
-class UrcapPort(TcpListener):
+class UrcapPort(StreamServer):
     """The port and the variables behind it.
 
     occurs: returns whether a fault occurs now. answers: called with each request; returns whether the URCap answers.
@@ -56,7 +56,7 @@ class UrcapPort(TcpListener):
         note: Callable[..., None],
         seed: int,
     ) -> None:
-        super().__init__(host, port, self._answer_lines)
+        super().__init__((host, port), self._answer_lines)
         self._registers = registers
         self._slave_id = slave_id
         self._refresh_s, self._response_s, self._jitter_s, self._late_s = refresh_s, response_s, jitter_s, late_s

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import struct
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,6 +19,7 @@ from slipguard.cancellation import cancel_and_wait
 from slipguard.emulator import Report
 from slipguard.errors import InputError
 from slipguard_emulators.base import ControlledEmulator, EmulatorCommand
+from slipguard_emulators.stream_server import Client, StreamServer
 from slipguard_emulators.ur5.controller import PAUSED, PLAYING, POWER_OFF, RUNNING, EmulatedController
 from slipguard_emulators.ur5.dashboard import GREETING, DashboardServer
 from slipguard_emulators.ur5.faults import FAULTS, STOPS
@@ -31,7 +32,7 @@ SERIES = {"e": ((5, 17, 3, 0), 500.0), "cb3": ((3, 15, 8, 0), 125.0)}
 RTDE_PORT, DASHBOARD_PORT, SCRIPT_PORT = 30004, 29999, 30003
 """Those of a real controller; ur-rtde supports no others."""
 WriteBytes = Callable[[bytes], None]
-Serve = Callable[[asyncio.StreamReader, WriteBytes], Awaitable[None]]
+Serve = Callable[[asyncio.StreamReader, WriteBytes], Coroutine[None, None, None]]
 
 
 class UrEmulator(ControlledEmulator):
@@ -71,9 +72,8 @@ class UrEmulator(ControlledEmulator):
         self.controller.remote |= settings.series == "cb3"  # which knows no local control
         self._stop, self._local = "NORMAL", False
         self._version, self._rate_hz = SERIES[settings.series]
-        self._servers: list[asyncio.Server] = []
-        self._clients: set[asyncio.StreamWriter] = set()
-        self._serving: set[asyncio.Task[None]] = set()
+        ports = ((RTDE_PORT, self._rtde), (DASHBOARD_PORT, self._dashboard), (SCRIPT_PORT, self._script))
+        self._servers = [StreamServer((settings.host, port), self._client(serve)) for port, serve in ports]
         self._sessions: dict[WriteBytes, RtdeSession] = {}
         self._running: asyncio.Task[None] | None = None
 
@@ -85,17 +85,15 @@ class UrEmulator(ControlledEmulator):
     async def start(self) -> None:
         """Listen on the ports. Idempotent."""
         if self._running is None:
-            await self._listen()
+            self._listen()
             self._running = asyncio.create_task(self._run(), name="controller")
 
     async def stop(self) -> None:
         """Close the ports and all connections. Idempotent."""
-        self._hang_up()
         running, self._running = self._running, None
         await cancel_and_wait(running)
-        self._hang_up()
-        if self._serving:
-            await asyncio.wait(self._serving)
+        for server in self._servers:
+            await server.close()
 
     def state(self) -> Mapping[str, object]:
         """Return the true state."""
@@ -168,62 +166,34 @@ class UrEmulator(ControlledEmulator):
                 moving = not moving
                 self.note("moves" if moving else "stands", z_m=round(self.tool.pose(loop.time())[2], 4))
             if "kill" in self.faults.active:
-                if self._servers:
+                if self._servers[0].plugged:
                     self._hang_up()
                     self.controller.end("the controller is gone", loop.time())
                 continue
-            if not self._servers:
-                await self._listen()
+            self._listen()
             if self.faults.occurs("drop"):
-                self._cut()
+                for server in self._servers:
+                    server.cut()
             self.controller.cycle(loop.time())
             values = self.controller.outputs(loop.time())
             for write, session in list(self._sessions.items()):
                 if session.due(count) and not self.faults.occurs("freeze"):
                     write(session.packet(values))
 
-    async def _listen(self) -> None:
-        ports: tuple[tuple[int, Serve], ...] = (
-            (RTDE_PORT, self._rtde),
-            (DASHBOARD_PORT, self._dashboard),
-            (SCRIPT_PORT, self._script),
-        )
-        for port, serve in ports:
-            try:
-                self._servers.append(await asyncio.start_server(self._client(serve), self.settings.host, port))
-            except OSError as error:
-                self._hang_up()
-                raise InputError(
-                    f"{self.settings.host}:{port} cannot be listened on: {error.strerror or error}; give another "
-                    "address of this machine, such as 127.0.0.2"
-                ) from None
+    def _listen(self) -> None:
+        try:
+            for server in self._servers:
+                server.plug()
+        except InputError:
+            self._hang_up()
+            raise
 
     def _hang_up(self) -> None:
         for server in self._servers:
-            server.close()
-        self._servers.clear()
-        self._cut()
+            server.unplug()
 
-    def _cut(self) -> None:
-        for writer in list(self._clients):
-            writer.transport.abort()
-
-    def _client(self, serve: Serve) -> Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]:
-        async def run(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            task = asyncio.current_task()
-            assert task is not None
-            self._serving.add(task)
-            self._clients.add(writer)
-            try:
-                await serve(reader, self._writer(writer))
-            except (asyncio.IncompleteReadError, OSError, ValueError, IndexError, struct.error):
-                pass  # the client is gone or sends invalid data: the connection ends
-            finally:
-                self._clients.discard(writer)
-                self._serving.discard(task)
-                writer.close()
-
-        return run
+    def _client(self, serve: Serve) -> Callable[[Client], Coroutine[None, None, None]]:
+        return lambda client: serve(client[0], self._writer(client[1]))
 
     def _writer(self, stream: asyncio.StreamWriter) -> WriteBytes:
         """Return a function that writes to one connection, with faults."""

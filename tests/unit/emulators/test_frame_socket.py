@@ -154,7 +154,7 @@ async def test_a_camera_accepts_one_client(tmp_path: Path) -> None:
     await second.open()
     await second.close()
     await server.close()
-    assert not server.path.exists()
+    assert not Path(server.path).exists()
 
 
 async def test_no_socket_says_what_to_start(tmp_path: Path) -> None:
