@@ -215,7 +215,7 @@ class Lane:
             if self.through_copy:  # of up to one refresh ago, and the position may be older than the rest
                 said = [truth for truth in self.truths if truth.at_s >= began_s - COPY_S]
                 said = [replace(new, width_mm=old.width_mm) for new in said for old in said]
-            if not any(agree(state, truth) for truth in said):
+            if not any(agree(state, truth, executed=not self.through_copy) for truth in said):
                 self.outcome.wrong.append(f"{state} but {said}")
 
     async def _hold(self) -> None:
@@ -292,8 +292,10 @@ def usual_width_mm(figures: GripperFigures, count: int) -> float:
     return figures.stroke_mm * (1.0 - share)
 
 
-def agree(state: GripperState, truth: Truth) -> bool:
+def agree(state: GripperState, truth: Truth, *, executed: bool = True) -> bool:
     """Whether a state is what the gripper was like.
+
+    executed: the newest command has certainly reached the gripper; otherwise its force counts once the fingers rest.
 
     `holding` may be said of jaws halted on their way, and denied only of jaws that are said to move. `moving` may be
     said until gOBJ belongs to the newest command.
@@ -313,7 +315,7 @@ def agree(state: GripperState, truth: Truth) -> bool:
         return False
     if state.closed_on_nothing and view.holds:
         return False
-    resting = not view.moving and view.holds and state.holding
+    resting = not view.moving and view.holds and state.holding and (executed or not state.moving)
     return not resting or state.force_n <= view.force_n + STEP_N
 
 

@@ -32,7 +32,7 @@ LOSSES = [
 
 @pytest.fixture(autouse=True)
 def _no_other_programs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial_port, "other_holders", lambda port, among=None: set())
+    monkeypatch.setattr(serial_port, "other_holders", lambda port: set())
     monkeypatch.setattr(serial_port, "slow_adapter", lambda port: None)
 
 

@@ -77,7 +77,7 @@ async def test_a_cancelled_search_for_other_programs_closes_the_port(
 ) -> None:
     looking, go_on = threading.Event(), threading.Event()
 
-    def slow(port: str, among: object = None) -> set[int]:
+    def slow(port: str) -> set[int]:
         looking.set()
         go_on.wait(10.0)
         return set()
@@ -95,21 +95,6 @@ async def test_a_cancelled_search_for_other_programs_closes_the_port(
     await line.connect()
     assert line.connected
     line.close()
-
-
-async def test_repeated_attempts_do_not_search_all_processes_each_time(
-    emulator: RobotiqEmulator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    other = await another_master(emulator, exclusive=True)
-    looks: list[object] = []
-    monkeypatch.setattr(serial_port, "other_holders", lambda port, among=None: looks.append(among) or set())
-    line = ModbusConnection("gripper", emulator.address, 9, 0.05)
-    for _ in range(5):
-        with pytest.raises(DeviceLost, match="another program"):
-            await line.connect()
-    assert looks == [None]
-    other.terminate()
-    await other.wait()
 
 
 async def test_the_port_is_exclusive_and_its_holder_is_reported(emulator: RobotiqEmulator) -> None:

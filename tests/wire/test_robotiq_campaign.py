@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from robotiq_campaign import MIX, Truth, agree, campaign
+from robotiq_campaign import Truth, agree, campaign
 
 from slipguard.devices import GripperState
 from slipguard_emulators.robotiq.emulator import FAULTS, URCAP_FAULTS
@@ -49,7 +49,3 @@ def test_a_wrong_state_is_noticed() -> None:
     for view in (JawsState(45.0, 40.2), JawsState(41.2, 40.2, moving=True), JawsState(41.2), JawsState(41.2, 30.0)):
         assert not agree(state, Truth(0.0, True, True, view, view.width_mm))
     assert not agree(state, Truth(0.0, False, True, held, 41.2))
-
-
-def test_the_mix_has_everything() -> None:
-    assert sum(MIX.values()) == 100

@@ -250,16 +250,6 @@ async def test_an_ignored_go_is_reported(emulator: RobotiqEmulator, held: Roboti
     assert (await held.state()).force_n == pytest.approx(40.2, abs=0.1)
 
 
-@each_model
-async def test_while_the_force_rises_it_is_holding(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:
-    await held.hold(200.0)
-    seen = [await held.state() for _ in range(10)]
-    assert any(state.moving for state in seen)
-    assert all(state.holding for state in seen)
-    with pytest.raises(CommandRefused, match="held"):
-        await held.move(80.0, 30.0)
-
-
 async def test_an_interrupted_grip_is_completed_by_the_next_hold(
     emulator: RobotiqEmulator, held: RobotiqGripper
 ) -> None:
@@ -311,24 +301,6 @@ async def test_a_tightening_is_completed_though_its_caller_is_cancelled(
     assert emulator.state()["force_n"] == pytest.approx(80.7, abs=0.1)
 
 
-async def test_opening_is_refused_while_the_fingers_close(tmp_path: Path) -> None:
-    emulator = quick(tmp_path, activated=True, quick=1.0)
-    await emulator.start()
-    gripper = RobotiqGripper(settings(emulator), DriverContext("gripper"))
-    await gripper.open()
-    put(emulator, 30.0)
-    await gripper.move(10.0, 60.0)
-    with pytest.raises(CommandRefused, match="closing"):
-        await gripper.move(70.0, 60.0)
-    await gripper.move(5.0, 60.0)
-    await until_it_rests(gripper)
-    with pytest.raises(CommandRefused, match="held"):
-        await gripper.move(70.0, 60.0)
-    assert emulator.events("released") == []
-    await gripper.close()
-    await emulator.stop()
-
-
 @pytest.mark.parametrize(
     ("model", "width_mm", "object_mm", "force_n"), [("2F-140", 120.0, 100.0, 125.0), ("Hand-E", 42.0, 30.0, 185.0)]
 )
@@ -350,12 +322,6 @@ async def test_each_model_has_its_own_force_and_width_range(
     assert state.width_mm == pytest.approx(object_mm, abs=0.7)
     await gripper.close()
     await emulator.stop()
-
-
-async def test_a_gripper_that_ignores_commands_is_reported(emulator: RobotiqEmulator, gripper: RobotiqGripper) -> None:
-    emulator.control("fault ignore")
-    with pytest.raises(DeviceTimeout, match="another program"):
-        await gripper.hold(40.0)
 
 
 async def test_power_lost_while_holding_never_opens(emulator: RobotiqEmulator, held: RobotiqGripper) -> None:

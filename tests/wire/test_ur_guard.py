@@ -54,8 +54,9 @@ def pausing(**settings: object) -> GuardModeArm:
 
 def no_rtde(controller: UrEmulator) -> None:
     """RTDE is gone for good; the dashboard is still there for who connects again."""
-    controller._servers[0].close()
-    controller._cut()
+    for server in controller._servers:
+        server.cut()
+    controller._servers[0].unplug()
 
 
 def disturbances(controller: UrEmulator) -> list[str]:

@@ -135,7 +135,7 @@ async def test_a_link_that_breaks_stops_the_arm(controller: UrEmulator, arm: Lif
 
 async def test_a_stop_of_a_lost_arm_goes_to_the_dashboard(controller: UrEmulator, arm: LiftModeArm) -> None:
     await under_way(arm, controller)
-    controller._servers[0].close()
+    controller._servers[0].unplug()
     controller.control("fault drop 1")
     assert await rests(controller)
     await lost(arm)

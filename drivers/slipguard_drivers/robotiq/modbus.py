@@ -17,7 +17,6 @@ request, and every response would stay one behind. Therefore:
 from __future__ import annotations
 
 import asyncio
-import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -42,8 +41,6 @@ slowest gripper answers well within it."""
 log = structlog.get_logger()
 READ, WRITE = 4, 16
 CRC_BYTES = 2
-HOLDERS_PERIOD_S = 3.0
-"""How often to search all processes for the one that holds a port that cannot be opened."""
 BRIEF_USE_S = 0.05
 """A program that has the port open for a shorter time only inspects it, as udev and emulated grippers do."""
 
@@ -80,9 +77,6 @@ class ModbusConnection(GripperTransport):
         self._expected: ExpectedResponse | None = None
         self._received = b""
         """Bytes that have arrived since the current request."""
-        self._holders: set[int] = set()
-        """Processes that held the port at the last attempt to open it."""
-        self._search_holders_at_s = -math.inf
 
     @property
     def connected(self) -> bool:
@@ -96,10 +90,6 @@ class ModbusConnection(GripperTransport):
         could open a grip. So other programs are searched before anything is sent; see `serial_port.other_holders`.
         """
         self.close()
-        if self._holders:
-            self._holders = await asyncio.to_thread(serial_port.other_holders, self._port, self._holders)
-            if self._holders:
-                raise self._not_exclusive()
         try:
             await self._line.open()
         except OSError as error:
@@ -107,7 +97,8 @@ class ModbusConnection(GripperTransport):
                 raise self._no_forwarder(error) from None
             if isinstance(error, PortBlockedError):
                 raise self._blocked() from None
-            raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {await self._why_not_opened()}") from None
+            why = await asyncio.to_thread(serial_port.why_not_usable, self._port)
+            raise DeviceLost(f"{self._name}: {self._port} cannot be opened: {why}") from None
         if not is_tcp(self._port):
             await self._check_holders()
             if slow := serial_port.slow_adapter(self._port):
@@ -118,12 +109,10 @@ class ModbusConnection(GripperTransport):
     async def _check_holders(self) -> None:
         """Close the port again if another program has it open."""
         try:
-            self._holders = await asyncio.to_thread(serial_port.other_holders, self._port)
-            if self._holders:
+            if await asyncio.to_thread(serial_port.other_holders, self._port):
                 await asyncio.sleep(BRIEF_USE_S)
-                self._holders = await asyncio.to_thread(serial_port.other_holders, self._port, self._holders)
-            if self._holders:
-                raise self._not_exclusive()
+                if holders := await asyncio.to_thread(serial_port.other_holders, self._port):
+                    raise DeviceLost(f"{self._name}: {self._port} is not used: {serial_port.holders_text(holders)}")
         except BaseException:  # includes a cancelled search
             self._line.close()
             raise
@@ -180,18 +169,6 @@ class ModbusConnection(GripperTransport):
             f"{self._name}: {self._port} does not accept connections ({error.strerror or 'no answer'}); check the "
             "robot's address and power, and that the URCap rs485 (PolyScope X: tool-comm-forwarder) is installed and on"
         )
-
-    async def _why_not_opened(self) -> str:
-        if fault := serial_port.device_fault(self._port):
-            return fault
-        now_s = asyncio.get_running_loop().time()
-        if now_s >= self._search_holders_at_s:
-            self._search_holders_at_s = now_s + HOLDERS_PERIOD_S
-            self._holders = await asyncio.to_thread(serial_port.other_holders, self._port)
-        return serial_port.holders_text(self._holders)
-
-    def _not_exclusive(self) -> DeviceLost:
-        return DeviceLost(f"{self._name}: {self._port} is not used: {serial_port.holders_text(self._holders)}")
 
     async def _read(self, address: int, count: int) -> list[int]:
         request = struct.pack(">BBHH", self._slave_id, READ, address, count)

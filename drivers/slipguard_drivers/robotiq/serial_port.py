@@ -58,21 +58,17 @@ def holders_text(processes: Iterable[int]) -> str:
     return "not a serial port, or another program has it open; `sudo fuser` shows which"
 
 
-def other_holders(port: str, among: Iterable[int] | None = None) -> set[int]:
-    """Return the other processes that have a port open, as far as this user may see them.
+def other_holders(port: str) -> set[int]:
+    """Return the other processes that have a port open, as far as this user may see them. Takes a while.
 
     Open files are visible for the user's own processes, and for root for all; locks are visible for all. Under systemd
     with ProtectProc=invisible, a program of another user that takes no lock is not found.
-
-    Args:
-        among: inspect only these processes' open files. None: all, which takes a while; not for the event loop.
     """
     try:
         wanted = os.stat(port)
     except OSError:
         return set()
-    processes = _all_processes() if among is None else among
-    return {*_lockers(wanted), *(process for process in processes if _has_open(process, wanted))} - {os.getpid()}
+    return {*_lockers(wanted), *(process for process in _all_processes() if _has_open(process, wanted))} - {os.getpid()}
 
 
 def latency_timer_ms(port: str) -> int | None:

@@ -158,7 +158,7 @@ class UrEmulator(ControlledEmulator):
     async def _run(self) -> None:
         """Execute the controller's cycles with absolute deadlines; missed ones are skipped."""
         loop = asyncio.get_running_loop()
-        count, due_s, moving = 0, loop.time(), False
+        count, due_s, moving, killed = 0, loop.time(), False, False
         while True:
             count, due_s = count + 1, max(due_s + 1 / self._rate_hz, loop.time())
             await asyncio.sleep(due_s - loop.time())
@@ -166,11 +166,14 @@ class UrEmulator(ControlledEmulator):
                 moving = not moving
                 self.note("moves" if moving else "stands", z_m=round(self.tool.pose(loop.time())[2], 4))
             if "kill" in self.faults.active:
-                if self._servers[0].plugged:
+                if not killed:
+                    killed = True
                     self._hang_up()
                     self.controller.end("the controller is gone", loop.time())
                 continue
-            self._listen()
+            if killed:
+                killed = False
+                self._listen()
             if self.faults.occurs("drop"):
                 for server in self._servers:
                     server.cut()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import os
 import struct
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -154,7 +155,7 @@ async def test_a_camera_accepts_one_client(tmp_path: Path) -> None:
     await second.open()
     await second.close()
     await server.close()
-    assert not Path(server.path).exists()
+    assert not (await asyncio.to_thread(os.path.lexists, server.path))
 
 
 async def test_no_socket_says_what_to_start(tmp_path: Path) -> None:
