@@ -17,4 +17,24 @@ What the rotation is measured by, in the order of its use:
         gel_memory          correction for an earlier imprint that the gel still shows
     shift_meter         the shift of the object at the grasp axis
     axis, skeleton      the axis of the mask by the paper's estimators: orientation, comparison
+
+`from slipguard.perception import Pipeline, Estimate` is all that most programs need.
 """
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from slipguard.perception.estimate import Estimate
+    from slipguard.perception.pipeline import Pipeline
+
+__all__ = ["Estimate", "Pipeline"]
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: the configuration needs only `settings`, without OpenCV."""
+    if name in __all__:
+        return getattr(import_module(f"{__name__}.{name.lower()}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -63,6 +63,12 @@ class RotationEstimate:
 class Estimate:
     """The rotation of the object in one finger's image since the reference.
 
+    Either `rotation_deg` and `sigma_deg` are numbers, or `declined` says why there is none:
+
+    >>> Estimate(7, 0.1, 0.1, True, 5000, "registration", rotation_deg=12.5, sigma_deg=0.2).decline_reason
+    >>> Estimate(8, 0.2, 0.2, True, 5000, "registration", declined="round contact: aspect 1.1").decline_reason
+    'round contact'
+
     rotation_deg: signed, unwrapped rotation since the reference, counter-clockwise positive as a viewer sees the image.
     sigma_deg: one standard deviation of `rotation_deg`; None exactly where `rotation_deg` is None.
     orientation_deg: axial orientation now, in (-90, 90].

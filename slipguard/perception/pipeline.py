@@ -67,6 +67,19 @@ class _WholeContact:
 class Pipeline:
     """Estimates one finger's contact, frame after frame. Not thread-safe: one worker per finger.
 
+    The first stable contact becomes the reference, and rotations are counted from there:
+
+    >>> from slipguard.datasets.rendered_grasps import render_grasp
+    >>> from slipguard.perception import Pipeline
+    >>> from slipguard.perception.segmenter import Segmenter
+    >>> grasp = render_grasp("wrench", seed=1)
+    >>> pipeline = Pipeline(Segmenter(), PerceptionSettings(), grasp.background, grasp.noise_bgr, grasp.px_per_mm)
+    >>> estimates = [pipeline.process(shot.frame) for shot in grasp.shots]
+    >>> estimates[0].declined
+    'no contact'
+    >>> abs(estimates[80].rotation_deg - grasp.shots[80].rotation_deg) < 3.0 * estimates[80].sigma_deg
+    True
+
     Args:
         segmenter: The segmentation network.
         settings: The section `[perception]` of the configuration.
@@ -98,8 +111,9 @@ class Pipeline:
         if not px_per_mm > 0.0:
             raise InputError(f"px_per_mm is {px_per_mm}; set the scale of the frame, about 18.5 for a DIGIT")
         try:
-            self._dead_lines = DeadLines(background)
-            background = None if background is None else self._dead_lines.interpolate(background)
+            dead_lines = DeadLines(background)
+            self._dead_lines = dead_lines if dead_lines.rows or dead_lines.columns else None
+            background = None if background is None else dead_lines.interpolate(background)
             self._gate = ContactGate(background, noise, settings.gate_noise_factor)
         except FrameCorrupt as error:
             raise InputError(f"background image: {error}") from error
@@ -170,7 +184,7 @@ class Pipeline:
             FrameTorn: Its two parts are from different captures.
         """
         timer = StageTimer(self._timer)
-        image, now_s = self._dead_lines.interpolate(frame.image), frame.captured_at_s
+        image, now_s = self._repaired(frame.image), frame.captured_at_s
         blocks = block_means(image)
         if not math.isfinite(now_s):
             raise FrameCorrupt(f"frame {frame.sequence} has no capture time ({now_s}); the frame is skipped")
@@ -213,6 +227,7 @@ class Pipeline:
         if patch is None:
             return self._note_measured(blocks, None, unchanged, self._declined(frame, DeclineReason.NO_CONTACT, timer))
         measurement = self._meter.measure(image, patch, frame.captured_at_s, timer.mark)
+        timer.mark("relief")  # the texture
         estimate = self._estimate(frame, patch, measurement, timer)
         timer.mark("track")
         measured = estimate.rotation_deg is not None or estimate.decline_reason == DeclineReason.ROUND
@@ -257,7 +272,7 @@ class Pipeline:
             rotation_deg=rotation.rotation_deg,
             sigma_deg=rotation.sigma_deg,
             orientation_deg=None if axis_deg is None else wrap_axial_deg(axis_deg + self._mounting_deg),
-            rate_deg_s=None if rotation.rotation_deg is None else self._meter.rate_deg_s(now_s),
+            rate_deg_s=measurement.rate_deg_s,
             shift_mm=None if shift is None or shift.shift_px is None else self._shift_mm(shift.shift_px),
             shift_declined=None if shift is None else self._shift_declined(shift),
             slides=shift is not None and shift.slides,
@@ -284,7 +299,7 @@ class Pipeline:
             FrameCorrupt: It is not a gel image.
         """
         self.reset_reference()
-        image = self._dead_lines.interpolate(image)
+        image = self._repaired(image)
         blocks = block_means(image)
         timer = StageTimer(None)
         patch = self._find_patch(image, timer)
@@ -292,6 +307,9 @@ class Pipeline:
             return False
         self._meter.take_reference(image, patch, now_s, timer.mark, rotation_deg)
         return True
+
+    def _repaired(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        return image if self._dead_lines is None else self._dead_lines.interpolate(image)
 
     def _may_repeat(self, now_s: float) -> bool:
         """Return whether the last estimate is recent, and its contact clear and at rest."""

@@ -32,8 +32,8 @@ ITERATIONS_MAX = 8
 ROBUST = 2.5
 """Differences beyond this many times their r.m.s. are weighted less."""
 ALIKE_MIN = 0.5
-"""Smallest correlation of the reference's texture with the current one, times the share of it within the image: real
-gels sheared by 1 mm reach 0.5."""
+"""Smallest correlation of the reference's texture with the current one, and smallest share of it within the image: real
+gels sheared by 1 mm reach a correlation of 0.5."""
 CORRELATED = 30.0
 """Number of the template's points with the same error."""
 _PRIOR_STD = np.array([10.0, 6.0, 6.0, 0.1, 0.5])
@@ -208,7 +208,7 @@ def _products(fields: Field, weight: Field) -> NDArray[np.float64]:
 
 def _declined(visible: float, alike: float) -> str | None:
     """Return why a pose is none: too little of the texture is visible and alike. visible: its share in the image."""
-    if alike * visible >= ALIKE_MIN:
+    if min(alike, visible) >= ALIKE_MIN:
         return None
     detail = f"texture correlates by {alike:.2f} and {visible:.0%} of it is visible, limit of both {ALIKE_MIN:.2f}"
     return explain(DeclineReason.CONTACT_CHANGED, detail)

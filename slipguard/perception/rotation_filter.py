@@ -48,27 +48,31 @@ class Hypothesis:
 
 
 class RotationFilter:
-    """The rotations of one finger since its reference."""
+    """The rotations of one finger since its reference.
+
+    A bar looks the same after half a revolution; from one frame to the next it cannot have made one:
+
+    >>> rotations = RotationFilter()
+    >>> rotations.start(now_s=0.0)
+    >>> rotations.update(1 / 60, [Hypothesis(1.0, 0.0), Hypothesis(-179.0, 0.0)]).rotation_deg
+    1.0
+    """
 
     def __init__(self) -> None:
         self._history: deque[tuple[float, float]] = deque(maxlen=64)
-        self._last: tuple[float, float] = (-math.inf, 0.0)
+        self.last_deg = 0.0
+        """The last known rotation, of several hypotheses the most probable; 0 before the reference."""
         self._known_at_s = -math.inf
         self._unexpected_deg = 0.0
         self._unseen = False
         self.others_deg: list[float] = []
         """The other hypotheses, from the most probable one."""
 
-    @property
-    def last_deg(self) -> float:
-        """The last known rotation, of several hypotheses the most probable; 0 before the reference."""
-        return self._last[1]
-
     def start(self, now_s: float, rotation_deg: float = 0.0, unseen: bool = False) -> None:
         """Set the rotation at `now_s`. unseen: the object has been held unseen since then."""
         self._history.clear()
         self._history.append((now_s, rotation_deg))
-        self._last = (now_s, rotation_deg)
+        self.last_deg = rotation_deg
         self._known_at_s = now_s
         self._unexpected_deg = 0.0
         self._unseen = unseen
@@ -77,7 +81,7 @@ class RotationFilter:
     def predicted_deg(self, now_s: float) -> float:
         """Return the rotation at `now_s` for the rate between the last two frames."""
         ahead_deg = self._last_rate_deg_s * self._gap_s(now_s)
-        return self._last[1] + min(max(ahead_deg, -AHEAD_MAX_DEG), AHEAD_MAX_DEG)
+        return self.last_deg + min(max(ahead_deg, -AHEAD_MAX_DEG), AHEAD_MAX_DEG)
 
     def reach_deg(self, now_s: float) -> float:
         """Return how far the object may be from the predicted rotation; at most 180.
@@ -93,9 +97,10 @@ class RotationFilter:
         faster_deg = lag_deg_s * gap_s + 0.5 * ACCELERATION_DEG_S2 * gap_s**2
         return min(max(abs(self._last_rate_deg_s) * gap_s, faster_deg), 180.0)
 
-    def credible(self, now_s: float, rotation_deg: float, than_deg: float) -> bool:
-        """Return whether the motion makes a rotation not much less probable than another one."""
-        return self._log_prior(now_s, rotation_deg) - self._log_prior(now_s, than_deg) > math.log(SECOND_MAX)
+    def credible(self, now_s: float, rotation_deg: float, others_deg: Sequence[float]) -> list[float]:
+        """Return which of others, relative to a rotation, the motion makes not much less probable than it."""
+        least = self._log_prior(now_s, rotation_deg) + math.log(SECOND_MAX)
+        return [by_deg for by_deg in others_deg if self._log_prior(now_s, rotation_deg + by_deg) > least]
 
     def update(self, now_s: float, found: Sequence[Hypothesis]) -> RotationEstimate:
         """Return the most probable of the rotations found in the frame of `now_s`, without sigma, or decline.
@@ -121,7 +126,7 @@ class RotationFilter:
         self.others_deg = [one.rotation_deg - best.rotation_deg for one in rest if ambiguous]
         self._unseen = False
         self._unexpected_deg = abs(away_deg) if abs(away_deg) <= limit_deg else 0.0
-        self._last = (now_s, best.rotation_deg)
+        self.last_deg = best.rotation_deg
         self._append(now_s, best.rotation_deg)
         if ambiguous:
             detail = f"{best.rotation_deg:+.0f} and {rest[0].rotation_deg:+.0f} deg"

@@ -72,11 +72,13 @@ class RotationMeasurement:
     """Rotation since the reference, its shift (None without a reference), and the orientation of the contact's axis.
 
     orientation_deg: axial, in (-90, 90], counter-clockwise in the image; None if the rotation or the axis is unknown.
+    rate_deg_s: None if the rotation or its rate is unknown.
     """
 
     rotation: RotationEstimate
     shift: ShiftMeasurement | None
     orientation_deg: float | None
+    rate_deg_s: float | None = None
 
     def plus(self, before: RotationMeasurement | None) -> RotationMeasurement:
         """Add rotation and shift up to the present reference."""
@@ -270,7 +272,6 @@ class RotationMeter:
             rotation = RotationEstimate(None, None, DeclineReason.CONTACT_TOO_SMALL)
         else:
             rotation = self._rotation_of_axis(reference, self._axis(patch, mark), now_s)
-        mark("relief")  # the texture; the name is a key of the JSON of `bench`
         return self._checked(reference, rotation, now_s, found, patch)
 
     def _axis(self, patch: Patch, mark: Mark) -> AxisEstimate:
@@ -304,9 +305,11 @@ class RotationMeter:
         if rotation.sigma_deg is not None and rotation.sigma_deg > limit:
             detail = f"sigma {rotation.sigma_deg:.1f} deg, limit {limit:g} deg"
             rotation = RotationEstimate(None, None, explain(DeclineReason.UNCERTAIN, detail))
-        orientation_deg = None
-        if reference.axis.angle_deg is not None and rotation.rotation_deg is not None:
-            orientation_deg = wrap_axial_deg(reference.axis.angle_deg + rotation.rotation_deg)
+        orientation_deg = rate_deg_s = None
+        if rotation.rotation_deg is not None:
+            rate_deg_s = self.rate_deg_s(now_s)
+            if reference.axis.angle_deg is not None:
+                orientation_deg = wrap_axial_deg(reference.axis.angle_deg + rotation.rotation_deg)
         # While the rotation is declined, it is taken to be the last one: a jump would look like a slip.
         shift = reference.shift.measure(now_s, self._rotations.last_deg, found, patch)
-        return RotationMeasurement(rotation, shift, orientation_deg).plus(self._carried)
+        return RotationMeasurement(rotation, shift, orientation_deg, rate_deg_s).plus(self._carried)

@@ -24,8 +24,6 @@ AROUND_PX = 12
 """The map extends this far around the patch's box: the slopes around a contact, and room for filters."""
 LIGHTS_DEG = (270.0, 150.0, 30.0)
 """Azimuths of the blue, green and red light of a DIGIT, counter-clockwise from the image's right."""
-MIRRORED_MARGIN = 0.1
-"""The lights are taken to run in the other sense only if the slopes then fit a surface better by this much."""
 BLUR_PX = 1.0
 NOMINAL_WEIGHT = 1.0
 """Weight of the color mix of three equal lights in the learned one, as a share of the texture's energy."""
@@ -108,7 +106,7 @@ class TextureMapReader:
             re2, im2 = float(along @ steep @ along), float(across @ steep @ across)
             square = complex(re2 - im2, 2.0 * float(along @ steep @ across))
             found.append((abs(square) / max(re2 + im2, 1e-9), math.atan2(square.imag, square.real) / 2))
-        mirrored = found[1][0] > found[0][0] + MIRRORED_MARGIN
+        mirrored = found[1][0] > found[0][0]
         self._set_colors(_without_curl(steep, _to_slopes(found[int(mirrored)][1], mirrored)))
 
     def _steepness(self, image: NDArray[np.uint8], window: ImageWindow, patch: Patch) -> NDArray[np.float64]:

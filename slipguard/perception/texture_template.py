@@ -54,8 +54,8 @@ POINTS = 500
 SIMILAR = 0.5
 """Smallest correlation at a maximum of the curve that is followed up. Teeth and regular polygons reach 0.85-0.99, a nut
 of which not all edges touch, a cross and four pins 0.75, other contacts of tools 0.6 and less."""
-APART_DEG = 12.0
-"""Registrations from starts that are closer together end at the same pose."""
+CAPTURE_DEG = 12.0
+"""A registration finds rotations this far from its start: starts that are closer together end at the same pose."""
 SIMILAR_APART_DEG = 6.0
 """The finest period that is followed up: 60 teeth."""
 STARTS_MAX = 4
@@ -124,7 +124,6 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         motion[1:3] -= np.outer(smooth, smooth @ motion[1:3])
     local = _local_weights(motion, dx, dy, (center_x + window.left_px, center_y + window.top_px))
     block = np.floor(dx / BLOCK_PX).astype(np.intp) * 64 + np.floor(dy / BLOCK_PX).astype(np.intp)
-    strength = math.sqrt(float(np.mean(np.square(motion[4]))))
     return TextureTemplate(
         np.stack([dx, dy, np.ones_like(dx)]),
         motion,
@@ -137,7 +136,7 @@ def make_texture_template(texture_map: TextureMap, patch: Patch) -> TextureTempl
         curvature,
         (center_x, center_y),
         np.asarray(wide, np.uint8),
-        _round_reason(coarse, strength),
+        _round_reason(coarse, math.sqrt(float(np.mean(np.square(motion[4]))))),
     )
 
 
@@ -230,7 +229,7 @@ def correlation_curve(
 
 
 def maxima_deg(
-    curve: NDArray[np.float32], near_deg: float, within_deg: float, apart_deg: float = APART_DEG
+    curve: NDArray[np.float32], near_deg: float, within_deg: float, apart_deg: float = CAPTURE_DEG
 ) -> list[float]:
     """Return the rotations at the maxima of a curve, the highest first, at least `apart_deg` apart.
 

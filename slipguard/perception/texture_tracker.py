@@ -12,7 +12,7 @@ from slipguard.perception.registration import Registration, TexturePose, registe
 from slipguard.perception.rotation_filter import Hypothesis, RotationFilter
 from slipguard.perception.texture_map import REDUCTION, TextureMap
 from slipguard.perception.texture_template import (
-    APART_DEG,
+    CAPTURE_DEG,
     SIMILAR_APART_DEG,
     STARTS_MAX,
     TextureTemplate,
@@ -21,8 +21,6 @@ from slipguard.perception.texture_template import (
     similar_deg,
 )
 
-CAPTURE_DEG = 12.0
-"""A registration finds rotations this far from its start. If the object may be further, all rotations are searched."""
 SEARCH_S = 0.06
 """After a search that found nothing, or little, the next one follows this much later: it takes longer than all other
 work of a frame."""
@@ -136,12 +134,10 @@ class TextureTracker:
         self, found: list[Registration], texture_map: TextureMap, best: Registration, now_s: float
     ) -> None:
         """Add the registrations at rotations that the texture cannot tell from the best one and the motion allows."""
-        rotations, here_deg = self._rotations, best.pose.rotation_deg
-        nearest = (-SIMILAR_APART_DEG, SIMILAR_APART_DEG)
-        if not any(rotations.credible(now_s, here_deg + by_deg, here_deg) for by_deg in nearest):
+        here_deg, credible = best.pose.rotation_deg, self._rotations.credible
+        if not credible(now_s, here_deg, (-SIMILAR_APART_DEG, SIMILAR_APART_DEG)):
             return
-        credible = [by_deg for by_deg in self.similar_deg if rotations.credible(now_s, here_deg + by_deg, here_deg)]
-        for by_deg in sorted(credible, key=abs)[:STARTS_MAX]:
+        for by_deg in sorted(credible(now_s, here_deg, self.similar_deg), key=abs)[:STARTS_MAX]:
             similar = register(self._template, texture_map, replace(best.pose, rotation_deg=here_deg + by_deg))
             if similar.declined is None:
                 _add(found, similar)
@@ -173,7 +169,7 @@ def _log_likelihood(found: Registration) -> float:
 def _add(found: list[Registration], one: Registration) -> None:
     """Add a registration; of two at the same rotation the better one stays."""
     for k, other in enumerate(found):
-        if abs(other.pose.rotation_deg - one.pose.rotation_deg) < 0.5 * APART_DEG:
+        if abs(other.pose.rotation_deg - one.pose.rotation_deg) < SIMILAR_APART_DEG:
             if one.alike > other.alike:
                 found[k] = one
             return
