@@ -23,7 +23,7 @@ START_S = 0.25
 FRESH_S = 0.1
 """An older state is no reason to move the arm; it is read every 25 ms."""
 REACHED_MM = 0.5
-LIFT_OFF_DEG_S, LEAST_MM_S = 4.0, 1.0
+LIFT_OFF_DEG_S, LEAST_MM_S = 2.0, 1.0
 """While an object leaves the table, the arm rotates it no faster than this, and goes no slower than this."""
 SPEED_UP = 1.5
 """A lift under way is commanded again only for a speed above this multiple of the present one."""
@@ -71,23 +71,25 @@ def has_ended(state: GraspState, arm: ArmState, now_s: float) -> bool:
     return is_current(state, arm, now_s) and not arm.moving and now_s - state.arm.commanded_s >= START_S
 
 
-def next_leg(state: GraspState, height_mm: float, params: GuardParams) -> LiftArm:
+def next_leg(state: GraspState, arm: ArmState, params: GuardParams) -> LiftArm:
     """Return the next leg to the goal: slowly until the object hangs, so that no load arrives faster than the grip.
 
-    An object that rotates with the arm is raised more slowly: the far end of a short one leads it fast.
+    An object that rotates with the arm, its far end on the table, is raised at `LIFT_OFF_DEG_S`.
     """
-    goal_mm = state.arm.goal_mm if state.arm.goal_mm is not None else height_mm
-    way_mm, tuning = goal_mm - height_mm, params.tuning
+    goal_mm = state.arm.goal_mm if state.arm.goal_mm is not None else arm.height_mm
+    way_mm, tuning = goal_mm - arm.height_mm, params.tuning
     if state.phase is Phase.LOWERING:
         return LiftArm(way_mm, state.arm.speed_mm_s or tuning.lower_speed_mm_s)
     speed_mm_s = state.arm.speed_mm_s or params.lift_speed_mm_s
     load, ground_mm = state.held.load, state.arm.ground_mm
     if load.hangs or not state.guarding:
         return LiftArm(way_mm, speed_mm_s)
-    risen_mm = height_mm - ground_mm if ground_mm is not None else 0.0
-    slow_mm_s = LIFT_OFF_DEG_S * max(risen_mm, 1.0) / max(abs(load.motion.position[0]), 1e-3)
-    if risen_mm < HANGS_MM:
-        slow_mm_s = min(slow_mm_s, tuning.lift_off_speed_mm_s)
+    risen_mm, rate_deg_s = arm.height_mm - (ground_mm or 0.0), abs(load.motion.rate[0])
+    if arm.moving and risen_mm >= HANGS_MM:
+        slow_mm_s = LIFT_OFF_DEG_S / max(rate_deg_s, 1.0) * arm.speed_mm_s
+    else:
+        turned_deg = max(abs(load.motion.position[0]), 1e-3)
+        slow_mm_s = min(tuning.lift_off_speed_mm_s, LIFT_OFF_DEG_S * max(risen_mm, 1.0) / turned_deg)
     return LiftArm(way_mm, min(max(slow_mm_s, LEAST_MM_S), speed_mm_s))
 
 

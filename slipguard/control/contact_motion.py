@@ -17,7 +17,7 @@ Vector = tuple[float, float, float]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 NOISE_LEAST: Vector = (0.02, 0.007, 0.007)
-"""Noise from frame to frame of a textured contact, degrees and mm: perception_errors.csv of the grip benchmark."""
+"""Noise from frame to frame of a textured contact, degrees and mm: of the median of eight test objects."""
 NOISE_START: Vector = (0.1, 0.03, 0.03)
 """Noise before it is learned: of a faint or smooth contact."""
 NOISE_SIGMAS = 3.0
@@ -49,7 +49,7 @@ class ContactMotion:
         noise: standard deviation from frame to frame, learned at rest.
         usual_sigma_deg: smallest sigma of the rotation so far. widening: the present one, relative to it.
         recent: capture times and positions of the last frames, since the grip force last changed.
-        offsets: of each set of fingers that has reported, against the first one.
+        offsets: of each set of fingers that has reported since the grip force last changed; the present one is last.
         captured_s, measured_s: of the newest estimate.
     """
 
@@ -98,8 +98,8 @@ class ContactMotion:
             return replace(now, counted=seen), ZERO
         change = _minus(seen, self.position)
         now = replace(now, speed=_smoothed(self.speed, change, passed_s))
-        if not settled:
-            return replace(now, counted=seen, rate=ZERO, recent=()), ZERO
+        if not settled:  # each finger's imprint grows in its own way: what the fingers differ by is found again
+            return replace(now, counted=seen, rate=ZERO, recent=(), offsets=offsets[-1:]), ZERO
         if rests:
             now = replace(now, noise=_learned(self.noise, change))
         rate = _smoothed(self.rate, change, passed_s)
@@ -133,7 +133,7 @@ class ContactMotion:
                 0.0 if first or value is None else min(max(value - before, -most), most)
                 for value, before, most in zip(given, self.position, SWITCH_MAX, strict=True)
             )
-        offset = known[fingers]
+        offset = known[fingers] = known.pop(fingers)  # the present one is the last
         seen = _vector(
             before if value is None else value - by
             for value, before, by in zip(given, self.position, offset, strict=True)

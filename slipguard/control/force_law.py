@@ -87,8 +87,6 @@ def guard(state: GraspState, observation: Observation, params: GuardParams) -> G
         load = load.started(state.gel, state.grip.target_n)
     if not _at_rest(state, observation):
         load = replace(load, jaws_moved_s=observation.now_s)
-    if observation.arm is not None:
-        load = load.risen(observation.arm.height_mm)
     state = _with_load(state, load)
     if fused.measured_at_s <= load.motion.measured_s:
         return _settle(state, observation, params)
@@ -108,6 +106,9 @@ def _follow(state: GraspState, fused: FusedEstimate, observation: Observation, p
     if fused.slides and settled and not lowers:  # by an unknown distance: slip
         moved = (moved[0], load.elastic_limit_deg(1.0) / deg_per_mm(load.force_n), moved[2])
     load = replace(load, motion=motion).moved(moved, put_down=lowers)
+    if arm is not None:  # where it was when this frame was captured
+        rose_mm = arm.speed_mm_s * (observation.now_s - fused.captured_at_s) if state.phase is Phase.LIFTING else 0.0
+        load = load.risen(arm.height_mm - rose_mm)
     free = _free_slip(load, fused, params)
     moves = any(moved) or (not settled and not lowers and free > FREE)
     ahead_s = observation.now_s - fused.captured_at_s + _reaction_s(state, observation, params)

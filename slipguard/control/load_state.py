@@ -48,7 +48,7 @@ STIFFNESS_SPREAD_LEAST = 0.25
 """However many grasps it was learned from: gels wear."""
 SHARE, SHARE_SPREAD = 0.3, 0.45
 """Load over capacity of an object that the first grip holds: median, and spread of the logarithm."""
-LOAD_PRIOR = 0.8
+LOAD_PRIOR = 0.6
 """The load over what the first grip holds is log-normal with the median 1 and this spread."""
 REFUTED = 0.02
 """Remaining weight of an elastic limit at which the object would have slipped on."""
@@ -167,7 +167,7 @@ class LoadState:
         per_mm = deg_per_mm(self.force_n)
         moved_deg = math.hypot(deg, per_mm * down_mm, per_mm * side_mm)
         now = replace(self, lowest_mm=lowest_mm)
-        if moved_deg > HANGS_DEG + self.motion.band[0] or height_mm < self.level_mm:
+        if moved_deg > max(HANGS_DEG, self.motion.band[0]) or height_mm < self.level_mm:
             return replace(now, level_mm=height_mm, level=self.motion.position)
         return now._hung() if height_mm - self.level_mm >= HANGS_MM and not self.hangs else now
 

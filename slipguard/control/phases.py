@@ -197,7 +197,7 @@ def _moving(state: GraspState, observation: Observation, params: GuardParams) ->
     arm, motion, held = observation.arm, state.arm, state.held
     if state.phase is Phase.FAULT or arm is None or motion.goal_mm is None or held.slip is not None:
         return state, output
-    leg = arm_motion.next_leg(state, arm.height_mm, params)
+    leg = arm_motion.next_leg(state, arm, params)
     due = arm_motion.has_ended(state, arm, observation.now_s)
     due = due or arm_motion.may_speed_up(state, arm, observation.now_s, leg)
     if held.lost_since_s is not None or not due:

@@ -152,7 +152,7 @@ def _start(
     speed_mm_s = observation.request.speed_mm_s
     motion = replace(state.arm, goal_mm=goal_mm, speed_mm_s=speed_mm_s, commanded_s=observation.now_s)
     state = replace(state, arm=motion, stop=None)
-    leg = arm_motion.next_leg(state, arm.height_mm, params)
+    leg = arm_motion.next_leg(state, arm, params)
     return state, replace(output, arm=leg).with_messages(message)
 
 
