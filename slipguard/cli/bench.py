@@ -37,8 +37,8 @@ def bench(
         bool, typer.Option("--grip", help="Compare grip controllers in closed loop: rotation, slip and grip force.")
     ] = False,
     plant: Annotated[
-        str, typer.Option(help="With --grip: the physics, own or mujoco (needs the extra mujoco).")
-    ] = "own",
+        str, typer.Option(help="With --grip: the physics: own, mujoco (needs the extra mujoco), or both.")
+    ] = "both",
     seed: Annotated[
         int,
         typer.Option(
@@ -53,7 +53,7 @@ def bench(
     """
     if grip and (model is not None or models is not None):
         raise InputError("--grip uses the shipped network; omit --model and --models")
-    if not grip and (plant != "own" or seed):
+    if not grip and (plant != "both" or seed):
         raise InputError("--plant and --seed choose scenarios of --grip; add --grip, or omit them")
     if quick and not grip and cluster is not None:
         raise InputError("the quick bench runs in this process alone; add --full, or omit --cluster")
@@ -85,39 +85,45 @@ def bench(
 
 
 def bench_grip(*, quick: bool, seed: int, plant: str, json: bool, out: Path | None, workers: Workers) -> None:
-    """Run the scenarios of the grip controllers; exit code 1 if a figure exceeds its limit."""
+    """Run the scenarios of the grip controllers on each plant; exit code 1 if a figure exceeds its limit."""
     from rich.console import Console
 
     from slipguard.bench.grip.campaign import CampaignPlan, run
     from slipguard.bench.grip.json_figures import as_json, checks, failures, scenarios_as_json
+    from slipguard.bench.grip.lift_run import PLANTS
     from slipguard.bench.grip.plot import draw
     from slipguard.bench.grip.report import print_tables
     from slipguard.sim.mujoco_plant import MujocoPlant
 
-    if plant not in ("own", "mujoco"):
-        raise InputError(f"--plant {plant}: must be own or mujoco")
-    if plant == "mujoco":
+    if plant not in (*PLANTS, "both"):
+        raise InputError(f"--plant {plant}: must be own, mujoco or both")
+    if plant != "own":
         MujocoPlant()  # raises if MuJoCo is not installed
-    plan = CampaignPlan.of(quick=quick, seed=seed, plant="mujoco" if plant == "mujoco" else "own")
+    plans = [CampaignPlan.of(quick=quick, seed=seed, plant=one) for one in PLANTS if plant in (one, "both")]
     progress = Console(stderr=True)
-    progress.print(
-        f"{len(plan.scenarios)} scenarios on the plant {plant}, {plan.seed_set} seed {seed}, {plan.rendered} also with "
-        f"rendered frames",
-        highlight=False,
-    )
-    with progress_bar("grip controllers") as show:
-        found = run(plan, workers, lambda share: show("grip controllers", share))
-    figures = as_json(found)
-    figures["promised"] = [check.as_json() for check in checks(figures)]
+    found = []
+    for plan in plans:
+        progress.print(
+            f"{len(plan.scenarios)} scenarios on the plant {plan.plant}, {plan.seed_set} seed {seed}, {plan.rendered} "
+            "also with rendered frames",
+            highlight=False,
+        )
+        with progress_bar("grip controllers") as show:
+            found.append(run(plan, workers, lambda share: show("grip controllers", share)))
+    figures = [as_json(one) for one in found]
+    for one in figures:
+        one["promised"] = [check.as_json() for check in checks(one)]
+    both = figures[0] | {one["plant"]: one for one in figures[1:]}
     if out is not None:
         draw(found, out / "grip.png")
-        whole = figures | scenarios_as_json(found)
+        parts = [shown | scenarios_as_json(one) for shown, one in zip(figures, found, strict=True)]
+        whole = parts[0] | {one["plant"]: one for one in parts[1:]}
         (out / "grip.json").write_text(jsonlib.dumps(whole, indent=2) + "\n", encoding="utf-8")
     if json:
-        print(jsonlib.dumps(figures))
+        print(jsonlib.dumps(both))
     else:
         print_tables(Console(highlight=False), found)
-    failed = failures(figures)
+    failed = [line for one in figures for line in failures(one)]
     for line in failed:
         progress.print(line, style="red", highlight=False)
     if failed:

@@ -74,22 +74,6 @@ def network_table(
 
 
 @app.command()
-def fit_perception_errors(
-    grasps: Annotated[int, typer.Option(min=1, help="Rendered grasps of each test object.")] = 5,
-) -> None:
-    """Measure the pipeline's errors for each test object and print the error model of `slipguard bench --grip`.
-
-    Run it again when the network or an estimator has changed. The output is the file
-    `slipguard/bench/grip/perception_errors.csv`.
-
-    Example: `python -m tests.campaigns fit-perception-errors > perception_errors.csv`
-    """
-    from tests.campaigns.fit_perception_errors import error_table
-
-    print(error_table(grasps))
-
-
-@app.command()
 def make_timing_network(path: Annotated[Path, typer.Argument(help="The .onnx file to write.")]) -> None:
     """Write the network with the layers of the paper's and arbitrary weights, which `slipguard bench` times.
 

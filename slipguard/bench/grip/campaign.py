@@ -1,53 +1,45 @@
-"""The campaign: every scenario with every controller, some also with rendered frames."""
+"""The campaign: every scenario with every controller on one plant, some also with rendered frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
-from slipguard.bench.grip.added_mass import AddedMass, added_mass_scenarios, run_added_mass
 from slipguard.bench.grip.lift_course import GripOutcome
-from slipguard.bench.grip.lift_run import CONSTANTS, PlantName, constant_n, run_lift
+from slipguard.bench.grip.lift_run import CONSTANTS, NAIVE_DEG, PlantName, run_lift
 from slipguard.bench.grip.scenarios import FIRST_TEST_SEED, GripScenario, scenarios
 from slipguard.tools.parallel import Workers, each
 
-QUICK_SCENARIOS, FULL_SCENARIOS = 48, 180
-QUICK_RENDERED, FULL_RENDERED = 4, 40
+QUICK_SCENARIOS, FULL_SCENARIOS = 32, 180
+QUICK_RENDERED, FULL_RENDERED = 4, 24
 """Scenarios with a weak first grip that also run with rendered frames and the shipped pipeline."""
-QUICK_ADDED, FULL_ADDED = 24, 120
-"""Scenarios in which mass is added on the grip axis."""
-QUICK_HOLD_S, FULL_HOLD_S = 4.0, 20.0
-"""Duration of the hold after the lift of a firm grasp."""
-STEPS = ("naive steps", "proportional steps", "fixed step")
-BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), *STEPS)
-BOUND = "clairvoyant"
-REACTIVE = "reactive"
-REACTING = ("slipguard", *STEPS)
+NAIVE = tuple(f"naive {deg:g}°" for deg in NAIVE_DEG)
+FIXED_STEP = "fixed step"
+BASELINES = ("no guard", *(f"constant {share:.2f}" for share in CONSTANTS), *NAIVE, FIXED_STEP)
+BOUND, REACTIVE = "clairvoyant", "reactive"
+REACTING = ("slipguard", NAIVE[0], FIXED_STEP)
+DISTURBED_AFTER = frozenset({"lift", "mass added", "acceleration"})
+"""Events after which the held object is disturbed and put down: it lies on a table before, and nothing pushes it."""
 ANSWERABLE_DEG, ANSWERABLE_MM = 2.5, 2.5
 """If the clairvoyant bound slips further, the load arrives faster than the gripper tightens; if the reactive one does,
 faster than camera, wire and jaws act together."""
-NO_SLIP, CERTAIN = 0.05, 1.25
-"""A constant that holds without slip at this multiple of the needed force holds at any larger one: it is not run."""
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
-    """What to run."""
+    """What to run. Equal seeds give equal scenarios on both plants."""
 
     scenarios: tuple[GripScenario, ...]
     rendered: int
-    hold_s: float
     seed: int
     plant: PlantName
-    added: int
 
     @classmethod
     def of(cls, *, quick: bool, seed: int = 0, plant: PlantName = "own") -> CampaignPlan:
-        """Return the quick plan or the full one. Equal seeds give equal scenarios on both plants."""
-        if quick:
-            return cls(tuple(scenarios(QUICK_SCENARIOS, seed)), QUICK_RENDERED, QUICK_HOLD_S, seed, plant, QUICK_ADDED)
-        return cls(tuple(scenarios(FULL_SCENARIOS, seed)), FULL_RENDERED, FULL_HOLD_S, seed, plant, FULL_ADDED)
+        """Return the quick plan or the full one."""
+        count, rendered = (QUICK_SCENARIOS, QUICK_RENDERED) if quick else (FULL_SCENARIOS, FULL_RENDERED)
+        return cls(tuple(scenarios(count, seed)), rendered, seed, plant)
 
     @property
     def seed_set(self) -> str:
@@ -93,7 +85,6 @@ class GripCampaignResult:
 
     plan: CampaignPlan
     results: tuple[ScenarioResult, ...]
-    added_mass: tuple[AddedMass, ...] = ()
 
     @property
     def weak(self) -> list[ScenarioResult]:
@@ -122,47 +113,22 @@ def run(
     weak = [one.number for one in plan.scenarios if one.weak]
     every = max(len(weak) // max(plan.rendered, 1), 1)
     drawn = set(weak[::every][: plan.rendered])
-    work = partial(run_scenario, plant=plan.plant, hold_s=plan.hold_s)
     items = sorted(((one, one.number in drawn) for one in plan.scenarios), key=lambda item: not item[1])
-    slides = added_mass_scenarios(plan.added, plan.seed)
-    count = len(items) + len(slides)
-    results = each(work, items, workers, named=lambda item: item[0].name, progress=lambda done: progress(done / count))
-    found = tuple(sorted(results, key=lambda one: one.scenario.number))
-    added = each(
-        partial(run_added_mass, plant=plan.plant),
-        slides,
+    results = each(
+        partial(run_scenario, plant=plan.plant),
+        items,
         workers,
-        named=lambda item: f"added mass {item[1].seed}/{item[1].number}",
-        progress=lambda done: progress((len(items) + done) / count),
+        named=lambda item: item[0].name,
+        progress=lambda done: progress(done / len(items)),
     )
-    return GripCampaignResult(plan, found, tuple(added))
+    return GripCampaignResult(plan, tuple(sorted(results, key=lambda one: one.scenario.number)))
 
 
-def run_scenario(item: tuple[GripScenario, bool], plant: PlantName, hold_s: float) -> ScenarioResult:
+def run_scenario(item: tuple[GripScenario, bool], plant: PlantName) -> ScenarioResult:
     """Run a scenario with every controller that matters for it; item: the scenario, and whether frames are rendered."""
     scenario, rendered = item
-    outcomes: dict[str, GripOutcome] = {BOUND: run_lift(scenario, BOUND, plant)}
-    held_s = hold_s if scenario.firm else 0.0
-    outcomes |= {name: run_lift(scenario, name, plant, hold_s=held_s) for name in REACTING}
-    if scenario.weak:
-        outcomes |= {name: run_lift(scenario, name, plant) for name in (REACTIVE, "no guard")}
-        outcomes |= _constants(scenario, plant)
+    names = (*REACTING, BOUND, *((REACTIVE, *BASELINES) if scenario.weak else ()))
+    disturbed = {"slipguard", BOUND} if scenario.event in DISTURBED_AFTER else set()
+    outcomes = {name: run_lift(scenario, name, plant, disturbed=name in disturbed) for name in dict.fromkeys(names)}
     seen = run_lift(scenario, "slipguard", plant, rendered=True) if rendered else None
     return ScenarioResult(scenario, outcomes, seen)
-
-
-def _constants(scenario: GripScenario, plant: PlantName) -> dict[str, GripOutcome]:
-    """Return the outcomes of all constant forces."""
-    outcomes: dict[str, GripOutcome] = {}
-    certain: GripOutcome | None = None
-    for share in CONSTANTS:
-        name = f"constant {share:.2f}"
-        if certain is None:
-            outcome = outcomes[name] = run_lift(scenario, name, plant)
-            slips = max(outcome.slip_deg, outcome.slide_mm) > NO_SLIP
-            certain = outcome if not slips and outcome.force_over_needed > CERTAIN else None
-        else:
-            gripper = scenario.pose.gripper
-            force_n = gripper.gain * gripper.quantized_force_n(constant_n(name, scenario))
-            outcomes[name] = replace(certain, controller=name, force_n=force_n)
-    return outcomes

@@ -13,10 +13,7 @@ from slipguard.sim.world import WorldTruth
 FIXED_STEP = 1.10
 FIXED_STEP_ABOVE_DEG = 5.0
 """The fixed step increases the force by 10 % at each frame with a rotation above this."""
-PROPORTIONAL_N_DEG, PROPORTIONAL_N_MM = 5.0, 10.0
-PROPORTIONAL_DEG, PROPORTIONAL_MM = 2.0, 1.0
-"""The proportional steps add this force for each degree and mm since the last step, once one of these is passed."""
-NAIVE_N, NAIVE_DEG = 10.0, 2.0
+NAIVE_N = 10.0
 SETTLED_DEG, SETTLE_S = 1.0, 0.3
 """A stopped arm continues after a rotation below this for this time."""
 VISIBLE_DEG, VISIBLE_MM = 0.1, 0.02
@@ -112,36 +109,16 @@ class FixedStep(UnguardedController):
 
 
 @dataclass(slots=True)
-class ProportionalSteps(UnguardedController):
-    """Adds force in proportion to the rotation and the shift since the last step, up to `force_max_n`."""
-
-    force_max_n: float = 130.0
-    answered_deg: float = 0.0
-    answered_mm: float = 0.0
-
-    def more_n(self, observation: Observation) -> float | None:
-        fused, gripper = observation.fused, observation.gripper
-        if fused is None or gripper is None or gripper.moving or self.target_n >= self.force_max_n:
-            return None
-        deg, mm = abs(fused.rotation_deg or 0.0), abs(fused.shift_mm or 0.0)
-        more_deg, more_mm = max(deg - self.answered_deg, 0.0), max(mm - self.answered_mm, 0.0)
-        if more_deg < PROPORTIONAL_DEG and more_mm < PROPORTIONAL_MM:
-            return None
-        self.answered_deg, self.answered_mm = max(deg, self.answered_deg), max(mm, self.answered_mm)
-        more_n = PROPORTIONAL_N_DEG * more_deg + PROPORTIONAL_N_MM * more_mm
-        return min(self.target_n + more_n, self.force_max_n)
-
-
-@dataclass(slots=True)
 class NaiveSteps(UnguardedController):
-    """Adds 10 N for each 2 degrees of rotation, up to `force_max_n`: what anyone would write first."""
+    """Adds 10 N for each `step_deg` of rotation, up to `force_max_n`: what anyone would write first."""
 
     force_max_n: float = 130.0
+    step_deg: float = 2.0
     answered: int = 0
 
     def more_n(self, observation: Observation) -> float | None:
         rotation_deg = observation.fused.rotation_deg if observation.fused is not None else None
-        steps = math.floor(abs(rotation_deg or 0.0) / NAIVE_DEG) - self.answered
+        steps = math.floor(abs(rotation_deg or 0.0) / self.step_deg) - self.answered
         if steps <= 0 or self.target_n >= self.force_max_n:
             return None
         self.answered += steps

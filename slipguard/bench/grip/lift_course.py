@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +18,11 @@ from slipguard.bench.grip.controllers import (
     SlipguardController,
     UnguardedController,
 )
-from slipguard.bench.grip.disturbances import pulse, pushed, taps_and_shaking
-from slipguard.bench.grip.perception_models import ModeledFinger, RotationOutliers
+from slipguard.bench.grip.disturbances import DISTURBANCES, LASTS_S, LOWERING, PEAK_M_S2, Disturbance, pulse, pushed
+from slipguard.bench.grip.perception_models import ModeledFinger
 from slipguard.bench.grip.scenarios import LIFT_MM, GripScenario
 from slipguard.control.messages import ControlRequest, RequestKind
+from slipguard.control.state import FORCE_TOLERANCE_N
 from slipguard.devices import FINGERS
 from slipguard.limit_surface import GRAVITY_M_S2
 
@@ -36,9 +39,19 @@ STILL_DEG_S, STILL_MM_S, STILL_S = 0.5, 0.5, 0.6
 SLIPPED_DEG = 0.05
 DROPPED_DEG, DROPPED_MM = 60.0, 12.0
 """The slip of a dropped object."""
-HOLD_MM_S = (30.0, 250.0)
 OUTLIER_DEG = 0.6
 """Error of a single frame in both fingers, such as a flicker that both cameras share."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disturbed:
+    """What a disturbance of a held object has changed. Forces are true ones; slip_deg: that it added."""
+
+    name: str
+    before_n: float
+    after_n: float
+    slip_deg: float
+    dropped: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +64,7 @@ class GripOutcome:
         force_n: Largest true force.
         arrested_s: Time from the first slip to the last; None without slip.
         answered_s: Time from the first slip under the last load to the next command or fault; None without either.
-        tightenings: Forces commanded from lift-off until rest; held: those of the hold afterwards.
+        tightenings: Forces commanded from lift-off until rest.
         early: Whether it tightened before any slip.
         up: Whether the lift reached its height.
     """
@@ -63,13 +76,18 @@ class GripOutcome:
     needed_n: float
     arrested_s: float | None
     tightenings: int
-    held: int
     early: bool
     dropped: str | None
     fault: str | None
     up: bool
     answered_s: float | None = None
     messages: tuple[str, ...] = ()
+    disturbed: tuple[Disturbed, ...] = ()
+
+    @property
+    def held(self) -> int:
+        """How many disturbances of the held object made the controller tighten."""
+        return sum(one.after_n > one.before_n + FORCE_TOLERANCE_N for one in self.disturbed)
 
     @property
     def force_over_needed(self) -> float:
@@ -81,7 +99,7 @@ class LiftCourse:
 
     def __init__(self, scenario: GripScenario, loop: ClosedLoop) -> None:
         self._scenario, self._loop = scenario, loop
-        self._begun_s = self._held_s = self._loaded_s = math.inf
+        self._begun_s = self._loaded_s = math.inf
         self._watches = type(loop.controller) is not UnguardedController
 
     def grip(self, force_n: float) -> None:
@@ -136,26 +154,51 @@ class LiftCourse:
         if scenario.event == "acceleration":
             world.shake(loop.now_s, None)
 
-    def hold(self, rng: np.random.Generator, seconds: float) -> None:
-        """Tap, shake and move the held object, with single wrong frames and lost ones."""
-        loop = self._loop
-        world, until_s = loop.world, loop.now_s + seconds
-        self._held_s = loop.now_s
-        self._lose_frames()
-        wrong_s = sorted(loop.now_s + rng.uniform(0.0, seconds, 2))
-        for finger, sign in zip(FINGERS, (1.0, -1.0), strict=True):  # as a rotation of the object
-            model = loop.fingers[finger]
+    def disturb(self) -> tuple[Disturbed, ...]:
+        """Disturb the held object in every way of the table, then put it down; return what each has changed."""
+        loop, found = self._loop, []
+        self._known((1.0 + PEAK_M_S2 / GRAVITY_M_S2) * self._scenario.needed_n)
+        self._flicker()
+        for name, one in DISTURBANCES.items():
+            found.append(self._watched(name, partial(self._apply, one)))
+        if isinstance(loop.controller, SlipguardController):
+            found.append(self._watched(LOWERING, self._put_down))
+        return tuple(found)
+
+    def _watched(self, name: str, action: Callable[[], None]) -> Disturbed:
+        before = self._loop.truth()
+        action()
+        after = self._loop.truth()
+        dropped = before.dropped is None and after.dropped is not None
+        return Disturbed(name, before.force_n, after.force_n, abs(after.slip_deg - before.slip_deg), dropped)
+
+    def _apply(self, one: Disturbance) -> None:
+        loop, from_s = self._loop, self._loop.now_s
+        acceleration, share = one.acceleration_m_s2, one.push_share
+        if acceleration is not None:
+            loop.world.shake(from_s, lambda now_s: acceleration(now_s - from_s))
+        if share is not None:
+            weight_n, lever_m = self._scenario.mass_kg * GRAVITY_M_S2, 1e-3 * self._scenario.lever_mm
+
+            def push(now_s: float) -> tuple[float, float]:
+                part = share(now_s - from_s)
+                return part * weight_n, part * weight_n * lever_m
+
+            loop.world.push(from_s, push)
+        loop.wait(LASTS_S)
+        loop.world.shake(loop.now_s, None)
+        loop.world.push(loop.now_s, None)
+
+    def _put_down(self) -> None:
+        self._loop.ask(ControlRequest(RequestKind.LOWER))
+        self._rest(LIFT_MAX_S, -math.inf)
+
+    def _flicker(self) -> None:
+        """Let a frame of both fingers be wrong at once, as a rotation of the object."""
+        for finger, sign in zip(FINGERS, (1.0, -1.0), strict=True):
+            model = self._loop.fingers[finger]
             if isinstance(model, ModeledFinger):
-                model.add_outliers(RotationOutliers(wrong_s, sign * OUTLIER_DEG))
-        world.shake(loop.now_s, taps_and_shaking(rng, loop.now_s, seconds))
-        while loop.now_s < until_s and loop.truth().dropped is None:
-            height_mm = world.arm_state(loop.now_s).height_mm
-            way_mm = float(rng.uniform(10.0, 60.0)) * (1.0 if height_mm < LIFT_MM + 50.0 else -1.0)
-            world.command_lift(loop.now_s, way_mm, math.exp(rng.uniform(*np.log(HOLD_MM_S))))
-            loop.wait(float(rng.uniform(0.1, 0.4)))
-            if rng.random() < 0.5:
-                world.command_stop(loop.now_s)
-            loop.wait(float(rng.uniform(0.5, 1.5)))
+                model.add_outliers((self._loop.now_s + 0.5 * LASTS_S,), sign * OUTLIER_DEG)
 
     def _lose_frames(self) -> None:
         """Lose the frames of the scenario's outage from now on."""
@@ -204,6 +247,13 @@ class LiftCourse:
         ]
         return min(answers_s, default=None)
 
+    @property
+    def fault(self) -> str | None:
+        """The latched fault of slipguard's controller."""
+        controller = self._loop.controller
+        fault = controller.state.grasp.fault if isinstance(controller, SlipguardController) else None
+        return None if fault is None else str(fault.code)
+
     def outcome(self, controller: str) -> GripOutcome:
         """Return what the run has shown so far. controller: its name."""
         loop, scenario = self._loop, self._scenario
@@ -216,7 +266,6 @@ class LiftCourse:
         arrested_s = None if first_slip_s is None else float(moved[-1] - first_slip_s) if moved.size else 0.0
         commanded_s = [at_s for at_s, output in loop.outputs if output.hold_force_n is not None]
         tightened_s = [at_s for at_s in commanded_s if at_s >= self._begun_s]
-        grasp = loop.controller.state.grasp if isinstance(loop.controller, SlipguardController) else None
         lost = truth.dropped is not None
         return GripOutcome(
             controller=controller,
@@ -225,12 +274,11 @@ class LiftCourse:
             force_n=max(now.force_n for now in trace),
             needed_n=scenario.needed_n,
             arrested_s=arrested_s,
-            tightenings=sum(at_s < self._held_s for at_s in tightened_s),
-            held=sum(at_s >= self._held_s for at_s in tightened_s),
+            tightenings=len(tightened_s),
             early=bool(tightened_s and (first_slip_s is None or tightened_s[0] < first_slip_s)),
             dropped=truth.dropped,
-            fault=str(grasp.fault.code) if grasp is not None and grasp.fault is not None else None,
-            up=scenario.event == "support gone" or truth.height_mm >= LIFT_MM - REACHED_MM or self._held_s < math.inf,
+            fault=self.fault,
+            up=scenario.event == "support gone" or truth.height_mm >= LIFT_MM - REACHED_MM,
             answered_s=self._answered_s(times, slips),
             messages=tuple(loop.messages),
         )

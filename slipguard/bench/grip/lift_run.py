@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -12,18 +12,12 @@ from slipguard.bench.grip.controllers import (
     Clairvoyant,
     FixedStep,
     NaiveSteps,
-    ProportionalSteps,
     Reactive,
     SlipguardController,
     UnguardedController,
 )
 from slipguard.bench.grip.lift_course import GripOutcome, LiftCourse
-from slipguard.bench.grip.perception_models import (
-    PERCEPTION_ERRORS,
-    ModeledFinger,
-    RenderedFinger,
-    RotationDrift,
-)
+from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors, RenderedFinger
 from slipguard.bench.grip.scenarios import PERCEIVING_S, ROOM_MM, GripScenario, earlier_grasps
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.params import GuardParams
@@ -34,14 +28,16 @@ from slipguard.sim.mujoco_plant import MujocoPlant
 from slipguard.sim.world import World, WorldSettings
 
 PlantName = Literal["own", "mujoco"]
-CONSTANTS = (0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
+PLANTS: tuple[PlantName, ...] = ("own", "mujoco")
+NAIVE_DEG = (2.0, 1.0, 0.5, 0.25)
+"""The naive law adds 10 N for each of these; the smaller ones reach slipguard's force."""
+CONSTANTS = (0.3, 0.5, 0.7, 1.0)
 """Constant forces, relative to the force limit; at least what the gripper's weakest grip is."""
 EARLIER_GRASPS = 2
 """slipguard has gripped other objects with the same pads before: it learns their stiffness. A start is rarer."""
 START_S = 100.0
 STEP_S = 2e-3
 RELEASE_MAX_S = 5.0
-DRIFT_DEG, DRIFT_S = 0.15, (20.0, 60.0)
 
 
 def run_lift(
@@ -49,16 +45,15 @@ def run_lift(
     controller: str,
     plant: PlantName = "own",
     *,
-    hold_s: float = 0.0,
+    disturbed: bool = False,
     rendered: bool = False,
     params: GuardParams | None = None,
 ) -> GripOutcome:
     """Run a scenario; equal arguments give equal outcomes.
 
     Args:
-        controller: "slipguard", "no guard", "naive steps", "proportional steps", "fixed step", "clairvoyant",
-            "reactive", or "constant 0.30".
-        hold_s: Duration of taps, shaking and arm motions after the event.
+        controller: "slipguard", "no guard", "naive 2°", "fixed step", "clairvoyant", "reactive", or "constant 0.30".
+        disturbed: Disturb the held object afterwards, and put it down.
         rendered: With rendered frames and the shipped pipeline instead of the error model.
     """
     params = guard_params(params or GuardParams(), scenario)
@@ -68,21 +63,22 @@ def run_lift(
         for other in earlier_grasps(scenario, EARLIER_GRASPS):
             start_s = _earlier(other, decides, plant, start_s)
     rng = np.random.default_rng([scenario.seed, scenario.number, 17])
-    fingers = _fingers(scenario, rng, drifts=hold_s > 0.0, rendered=rendered)
+    fingers = _fingers(scenario, rng, rendered=rendered)
     loop_rng = np.random.default_rng([scenario.seed, scenario.number, 9])
     run = LiftCourse(scenario, _loop(scenario, plant, decides, fingers, loop_rng, start_s))
     run.grip(constant_n(controller, scenario))
     run.lift()
     run.event()
-    if hold_s > 0.0:
-        run.hold(rng, hold_s)
-    return run.outcome(controller)
+    outcome = run.outcome(controller)
+    if not disturbed or outcome.dropped is not None:
+        return outcome
+    return replace(outcome, disturbed=run.disturb(), fault=run.fault)
 
 
 def _earlier(scenario: GripScenario, controller: SlipguardController, plant: PlantName, start_s: float) -> float:
     """Grip, lift and release an object; return the time afterwards."""
     rng = np.random.default_rng([scenario.seed, scenario.number, 29])
-    fingers = _fingers(scenario, rng, drifts=False, rendered=False)
+    fingers = _fingers(scenario, rng, rendered=False)
     loop = _loop(scenario, plant, controller, fingers, rng, start_s)
     run = LiftCourse(scenario, loop)
     run.grip(scenario.first_n)
@@ -146,10 +142,8 @@ def _world(scenario: GripScenario, plant: PlantName, start_s: float) -> World:
 def _controller(name: str, params: GuardParams, scenario: GripScenario) -> SlipguardController | UnguardedController:
     if name == "slipguard":
         return SlipguardController(params)
-    if name == "proportional steps":
-        return ProportionalSteps(force_max_n=params.force_max_n)
-    if name == "naive steps":
-        return NaiveSteps(force_max_n=params.force_max_n)
+    if name.startswith("naive "):
+        return NaiveSteps(force_max_n=params.force_max_n, step_deg=float(name.removeprefix("naive ").rstrip("°")))
     if name == "fixed step":
         return FixedStep(force_max_n=params.force_max_n)
     if name == "reactive":
@@ -157,14 +151,8 @@ def _controller(name: str, params: GuardParams, scenario: GripScenario) -> Slipg
     return Clairvoyant() if name == "clairvoyant" else UnguardedController()
 
 
-def _fingers(
-    scenario: GripScenario, rng: np.random.Generator, *, drifts: bool, rendered: bool
-) -> dict[str, FingerModel]:
+def _fingers(scenario: GripScenario, rng: np.random.Generator, *, rendered: bool) -> dict[str, FingerModel]:
     if rendered:
         cameras = (scenario.pose.left, scenario.pose.right)
         return {f: RenderedFinger(2 * scenario.number + k, cameras[k]) for k, f in enumerate(FINGERS)}
-    error = PERCEPTION_ERRORS[scenario.pose.object_name]
-    phase, period_s = float(rng.uniform(0.0, 2.0 * math.pi)), float(rng.uniform(*DRIFT_S))
-    drift = RotationDrift(DRIFT_DEG if drifts else 0.0, period_s, phase)
-    seeds = [[scenario.seed, scenario.number, k] for k in range(len(FINGERS))]
-    return {f: ModeledFinger(error, np.random.default_rng(seeds[k]), drift) for k, f in enumerate(FINGERS)}
+    return {f: ModeledFinger(PerceptionErrors(), child) for f, child in zip(FINGERS, rng.spawn(2), strict=True)}

@@ -175,7 +175,7 @@ class CampaignCell:
         self.crashes: list[str] = []
         self.releases = 0
         """Number of release commands to the gripper."""
-        self._error = PerceptionErrors(declined=0.0 if find_object(object_name).axial else 1.0)
+        self._error = PerceptionErrors(declined=not find_object(object_name).axial)
         self._object, self._seed, self._on_line = object_name, seed, on_line
         self._config = _config({**LIFT, **guard})
         self._state = MemoryState()

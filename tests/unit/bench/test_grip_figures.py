@@ -13,6 +13,7 @@ from slipguard.bench.grip import figures
 from slipguard.bench.grip.campaign import (
     BASELINES,
     BOUND,
+    NAIVE,
     REACTING,
     REACTIVE,
     CampaignPlan,
@@ -20,7 +21,7 @@ from slipguard.bench.grip.campaign import (
     ScenarioResult,
 )
 from slipguard.bench.grip.json_figures import LIMITS, as_json, checks, failures, scenarios_as_json
-from slipguard.bench.grip.lift_course import GripOutcome
+from slipguard.bench.grip.lift_course import Disturbed, GripOutcome
 from slipguard.bench.grip.plot import draw
 from slipguard.bench.grip.report import print_tables
 from slipguard.bench.grip.scenarios import scenarios
@@ -41,7 +42,11 @@ PLAN = replace(CampaignPlan.of(quick=True), scenarios=tuple(scenarios(40, 0)))
 
 
 def outcome(name: str, needed_n: float, over: float = 1.2, slip_deg: float = 1.0, tightenings: int = 0) -> GripOutcome:
-    return GripOutcome(name, slip_deg, 0.1, over * needed_n, needed_n, 0.1, tightenings, 0, False, None, None, True)
+    return GripOutcome(name, slip_deg, 0.1, over * needed_n, needed_n, 0.1, tightenings, False, None, None, True)
+
+
+def disturbed(name: str, *, after_n: float = 40.0, dropped: bool = False) -> Disturbed:
+    return Disturbed(name, 40.0, after_n, 0.2, dropped)
 
 
 def campaign(
@@ -100,10 +105,31 @@ def test_the_slip_is_stated_against_the_bound_that_reacts_to_what_the_cameras_se
 def test_a_firm_grasp_that_is_tightened_while_held_is_counted_once() -> None:
     found = campaign()
     one = found.firm[0]
-    one.outcomes["slipguard"] = replace(one.slipguard, held=3)
-    figures_json = as_json(found)
-    assert figures_json["firm"] == len(found.firm)
-    assert figures_json["firm_tightened_while_held_share"] == pytest.approx(1.0 / len(found.firm), abs=1e-3)
+    tighter = tuple(disturbed(name, after_n=50.0) for name in ("bump", "lowering"))
+    one.outcomes["slipguard"] = replace(one.slipguard, disturbed=tighter)
+    shown = as_json(found)
+    assert (shown["firm"], shown["firm_tightened_while_held_share"]) == (len(found.firm), 1.0)
+    assert shown["holds"]["false_while_holding"] == 2
+    assert any("lowering" in line for line in failures(shown))
+
+
+def test_a_disturbance_that_drops_what_the_bound_holds_is_a_failure() -> None:
+    found = campaign()
+    one = found.results[0]
+    one.outcomes["slipguard"] = replace(one.slipguard, disturbed=(disturbed("bump", dropped=True),))
+    assert as_json(found)["disturbances"]["bump"]["drops_beyond_bound"] == 0  # the bound was not disturbed
+    one.outcomes[BOUND] = replace(one.outcomes[BOUND], disturbed=(disturbed("bump"),))
+    assert as_json(found)["disturbances"]["bump"]["drops_beyond_bound"] == 1
+    assert any("disturbance dropped" in line for line in failures(as_json(found)))
+
+
+def test_the_naive_law_is_compared_at_equal_force() -> None:
+    found = campaign(ours=(1.2, 2.0))
+    for one in found.weak:
+        for name, over, slip_deg in zip(NAIVE, (1.0, 1.4, 1.6, 1.8), (10.0, 4.0, 3.0, 2.0), strict=True):
+            one.outcomes[name] = outcome(name, one.scenario.needed_n, over, slip_deg)
+    equal = as_json(found)["naive_at_equal_force"]
+    assert (equal["naive_slip_p95_deg"], equal["ratio"]) == (7.0, pytest.approx(2.0 / 7.0, abs=1e-3))
 
 
 def test_a_drop_that_the_bound_would_not_have_is_counted() -> None:
@@ -141,12 +167,12 @@ def test_a_limit_that_some_lifts_exceed_names_their_group() -> None:
 
 def test_tables_and_plot_show_every_baseline(tmp_path: Path) -> None:
     console = Console(width=80, record=True, file=io.StringIO())
-    print_tables(console, campaign())
+    print_tables(console, [campaign(), campaign()])
     text = console.export_text()
     for name in ("slipguard", *BASELINES, BOUND, REACTIVE, *REACTING):
         assert name in text
     assert "…" not in text
-    draw(campaign(), tmp_path / "grip.png")
+    draw([campaign(), campaign()], tmp_path / "grip.png")
     assert (tmp_path / "grip.png").stat().st_size > 10_000
 
 

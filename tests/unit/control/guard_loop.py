@@ -22,7 +22,7 @@ from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World
 
 GRIPPER_TRIP_S = 0.004
-SEEN, UNSEEN = PerceptionErrors(noise_deg=0.1, sigma_deg=0.1), PerceptionErrors(declined=1.0)
+SEEN, UNSEEN = PerceptionErrors(noise_deg=0.1, sigma_deg=0.1), PerceptionErrors(declined=True)
 
 
 def bar(needed_n: float, gel: SoftPad, offset_mm: float = 100.0, friction: float = 0.8) -> SimObject:
