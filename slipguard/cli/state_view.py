@@ -102,7 +102,8 @@ def _grip_text(state: State) -> str:
         return f"holding, force unknown since the start ({known}), {width}"
     reached = target_n == 0.0 or abs(target_n - gripper.force_n) < 1.0
     target = "" if reached else f" (target {target_n:.0f} N)"
-    return f"holding with {gripper.force_n:.0f} N per finger{target}, {width}"
+    used = "" if state.load_over_capacity is None else f", uses {state.load_over_capacity:.2f} of the grip"
+    return f"holding with {gripper.force_n:.0f} N per finger{target}{used}, {width}"
 
 
 def _arm_text(state: State) -> str:

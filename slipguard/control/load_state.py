@@ -48,7 +48,7 @@ STIFFNESS_SPREAD_LEAST = 0.25
 """However many grasps it was learned from: gels wear."""
 SHARE, SHARE_SPREAD = 0.3, 0.45
 """Load over capacity of an object that the first grip holds: median, and spread of the logarithm."""
-LOAD_PRIOR = 0.6
+LOAD_PRIOR = 0.8
 """The load over what the first grip holds is log-normal with the median 1 and this spread."""
 REFUTED = 0.02
 """Remaining weight of an elastic limit at which the object would have slipped on."""

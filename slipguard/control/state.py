@@ -298,6 +298,12 @@ class GraspState:
             return not self.adoption.done and self.adoption.remembered is not None
         return not self.adoption.done and self.phase is Phase.FAULT
 
+    @property
+    def load_over_capacity(self) -> float | None:
+        """The median of the load over what the grip holds; None while nothing is guarded."""
+        load = self.held.load
+        return load.over_capacity(0.5) if load.weights and self.guarding else None
+
     def entered(self, phase: Phase, now_s: float) -> GraspState:
         """Return the state at the beginning of another phase."""
         arm = replace(self.arm, paused=False, putting_down=False)

@@ -54,6 +54,12 @@ class LiftRecord:
         since = rotations - rotations[0]
         return float(since[np.argmax(np.abs(since))])
 
+    @property
+    def true_slip_deg(self) -> float:
+        """The part of the rotation at the end that is slip: the rest is elastic torsion of the gels, which returns."""
+        slips = [now.slip_deg for now in self.truth if now.time_s <= self.ended_at_s]
+        return slips[-1] - slips[0] if slips else 0.0
+
     def measured(self, finger: str) -> list[EstimatedRotation]:
         """Return the estimates of one finger with the sign of the left image."""
         return [
@@ -128,6 +134,7 @@ def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
     """Return the figures of a campaign under the keys of the public `--json` line."""
     fused = rotation_errors(records, "fused")
     rotations = np.abs([record.true_rotation_deg for record in records]) if records else np.empty(0)
+    slips = np.abs([record.true_slip_deg for record in records]) if records else np.empty(0)
     frames = sum(record.frames for record in records)
     skipped = sum(sum(record.skips.values()) for record in records)
     outcomes = Counter(record.outcome for record in records)
@@ -141,6 +148,8 @@ def summary(records: list[LiftRecord], *, realtime: bool) -> dict[str, object]:
         "turn_error_worst_object_deg": rounded(fused.worst_object_deg, 3),
         "true_turn_median_deg": rounded(float(np.median(rotations)) if rotations.size else None, 2),
         "true_turn_max_deg": rounded(float(rotations.max()) if rotations.size else None, 2),
+        "true_slip_median_deg": rounded(float(np.median(slips)) if slips.size else None, 2),
+        "true_slip_max_deg": rounded(float(slips.max()) if slips.size else None, 2),
         "over_20_deg_or_dropped": sum(
             record.outcome == "dropped" or abs(record.true_rotation_deg) > 20.0 for record in records
         ),

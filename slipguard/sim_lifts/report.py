@@ -44,6 +44,7 @@ def record_line(record: LiftRecord, *, realtime: bool) -> dict[str, object]:
         "outcome": record.outcome,
         "why": record.why or None,
         "true_turn_deg": round(record.true_rotation_deg, 2),
+        "true_slip_deg": round(record.true_slip_deg, 2),
         "measured_turn_deg": round(peak_deg, 2) if rotations_deg else None,
         "turn_error_deg": rounded(Figures.of(np.abs(record.errors_deg(record.fused))).mean, 3),
         "sigma_deg": round(float(np.median(sigmas)), 3) if sigmas else None,
@@ -85,7 +86,8 @@ def print_tables(console: Console, records: list[LiftRecord], *, realtime: bool)
     if records:
         console.print(
             f"true rotation of the objects: median {figures_now['true_turn_median_deg']}°, "
-            f"largest {figures_now['true_turn_max_deg']}°"
+            f"largest {figures_now['true_turn_max_deg']}°; of it slip: median {figures_now['true_slip_median_deg']}°, "
+            f"largest {figures_now['true_slip_max_deg']}° (the rest is elastic torsion of the gels)"
         )
     if figures_now["latency_p99_ms"] is not None:
         console.print(
@@ -147,13 +149,15 @@ def draw(records: list[LiftRecord], path: Path) -> None:
         start_s = record.truth[0].time_s if record.truth else 0.0
         truth_s = [now.time_s - start_s for now in record.truth]
         rotations_deg = [now.rotation_deg - record.truth[0].rotation_deg for now in record.truth]
+        slips_deg = [now.slip_deg - record.truth[0].slip_deg for now in record.truth]
         upper.plot(truth_s, rotations_deg, color="black", lw=2.2, label="true")
+        upper.plot(truth_s, slips_deg, color="black", lw=1.0, ls="--", label="true slip")
         for finger, color in zip(FINGERS, ("tab:blue", "tab:orange"), strict=True):
             label = finger if IMAGE_SIGN[finger] > 0 else f"{finger} (sign inverted)"
             upper.plot(*_points(record.measured(finger), start_s), ".", ms=2.5, color=color, label=label)
         upper.plot(*_points(record.fused, start_s), color="tab:red", lw=1.0, label="fused")
         upper.set_ylabel("rotation / °")
-        upper.set_title(f"{record.object_name}: {record.outcome}", fontsize=10)
+        upper.set_title(f"{record.object_name}: {record.outcome}, slip {record.true_slip_deg:+.1f}°", fontsize=10)
         lower.plot(truth_s, [now.force_n for now in record.truth], color="tab:green", label="grip, per finger")
         lower.plot(truth_s, [now.needed_force_n for now in record.truth], color="tab:gray", ls="--", label="needed")
         lower.set_ylabel("force / N")

@@ -14,7 +14,8 @@ from slipguard.registry import GROUPS
 
 SUMMARY = {
     "lifts", "held", "dropped", "refused", "turn_error_lifts", "turn_error_mean_deg", "turn_error_worst_object_deg",
-    "true_turn_median_deg", "true_turn_max_deg", "over_20_deg_or_dropped", "latency_p50_ms", "latency_p99_ms",
+    "true_turn_median_deg", "true_turn_max_deg", "true_slip_median_deg", "true_slip_max_deg",
+    "over_20_deg_or_dropped", "latency_p50_ms", "latency_p99_ms",
     "skipped_share", "deadlines_missed",
 }  # fmt: skip
 

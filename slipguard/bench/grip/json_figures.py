@@ -209,12 +209,12 @@ LIMITS = (
     FigureLimit("onset_to_command_s_p95", "seconds from the first slip to a command, p95", 0.11),
     FigureLimit("firm_tightened_share", "share of firm grasps tightened during the lift", 0.05),
     FigureLimit("false_while_holding", "tightenings of firm grasps while held", 0),
-    FigureLimit("dropped_by_disturbance", "held objects that a disturbance dropped, and not the bound's", 0),
+    FigureLimit("dropped_by_disturbance", "held objects dropped by a disturbance", 0),
     FigureLimit("vibration_force_ratio", "force after vibration over before, worst", 1.2),
     FigureLimit("lowering_force_ratio", "force after lowering over before, worst", figures.TIGHTENED),
     FigureLimit("ended_without_need", "avoidable stops", 0),
     FigureLimit("holds_failed", "failed holds of firm grasps", 0),
-    FigureLimit("rendered_against_model", "force with rendered frames against the error model", 0.15),
+    FigureLimit("rendered_against_model", "force with rendered frames against the model", 0.15),
 )
 
 

@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.table import Table
 
 from slipguard.bench.grip import figures
-from slipguard.bench.grip.campaign import BOUND, REACTING, GripCampaignResult
+from slipguard.bench.grip.campaign import REACTING, GripCampaignResult
 from slipguard.bench.grip.json_figures import LimitCheck, as_json, checks
 
-HEADS = ("n", "slip", "drop", "force")
+HEADS = ("slip", "drop", "force")
 NOTES = (
     "slip: true rotation at the end without elastic torsion, in degrees: median/p95/worst; a dropped object counts as "
     "60°; force: largest true over needed force: median/p95; constant: share of the force limit; naive: 10 N for each "
@@ -25,7 +25,7 @@ def print_tables(console: Console, campaigns: Sequence[GripCampaignResult]) -> N
     """Print slip against force of every controller, slipguard by group, firm grasps, disturbances and limits."""
     found = [as_json(one) for one in campaigns]
     console.print(_side_by_side("first grip too weak", campaigns, HEADS, _controller_rows))
-    console.print(_side_by_side("slipguard and the clairvoyant bound by group", campaigns, HEADS, _group_rows))
+    console.print(_side_by_side("slipguard by group", campaigns, HEADS, _group_rows))
     console.print(_side_by_side("firm grasps", campaigns, ("n", "tighter", "force p95"), _firm_rows))
     heads = ("n", "drop", "slip p95", "tighter", "force")
     console.print(_side_by_side("held objects, disturbed one way after the other", campaigns, heads, _disturbed_rows))
@@ -56,11 +56,10 @@ def _controller_rows(found: GripCampaignResult) -> dict[str, tuple[str, ...]]:
 
 
 def _group_rows(found: GripCampaignResult) -> dict[str, tuple[str, ...]]:
-    rows: dict[str, tuple[str, ...]] = {}
-    for name, part in figures.groups(found).items():
-        for controller, title in (("slipguard", name), (BOUND, f"  bound, {name}")):
-            rows[title] = _cells(figures.ControllerRow.of(controller, [one.outcomes[controller] for one in part]))
-    return rows
+    return {
+        name: _cells(figures.ControllerRow.of("slipguard", [one.slipguard for one in part]))
+        for name, part in figures.groups(found).items()
+    }
 
 
 def _firm_rows(found: GripCampaignResult) -> dict[str, tuple[str, ...]]:
@@ -81,7 +80,7 @@ def _disturbed_rows(found: GripCampaignResult) -> dict[str, tuple[str, ...]]:
 def _cells(row: figures.ControllerRow) -> tuple[str, ...]:
     slip = f"{row.slip_median_deg:.1f}/{row.slip_p95_deg:.1f}/{row.slip_worst_deg:.1f}"
     force = f"{row.force_over_needed_median:.2f}/{row.force_over_needed_p95:.2f}"
-    return str(row.scenarios), slip, str(row.drops), force
+    return slip, f"{row.drops}/{row.scenarios}", force
 
 
 def _side_by_side(

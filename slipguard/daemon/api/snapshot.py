@@ -30,6 +30,7 @@ def snapshot(service: Service, gels: Mapping[str, GelCondition], recording: Reco
         putting_down=state.arm.putting_down,
         stopped_by_request=state.stop is not None,
         target_force_n=state.grip.target_n,
+        load_over_capacity=state.load_over_capacity,
         limits=Limits(
             first_force_n=guard.first_force_n,
             force_max_n=guard.limited(state.grip.limit_n).force_max_n,

@@ -92,6 +92,8 @@ class State(ApiModel):
     putting_down: bool
     stopped_by_request: bool
     target_force_n: float
+    load_over_capacity: float | None = None
+    """Load over what the present grip holds, the most probable value; null while nothing is guarded."""
     limits: Limits
     no_rotation_reason: str | None
     fault: Fault | None

@@ -101,6 +101,7 @@ def shown(state: State, width: int = 80) -> str:
         ({"guarding": False}, "not guarding"),
         ({"phase": "idle", "slipping": False}, "idle (mode lift, the held object is NOT guarded: `slipguard ctl guard"),
         ({"phase": "idle", "target_force_n": 0.0}, "holding with 40 N per finger, jaws 28 mm apart"),
+        ({"load_over_capacity": 0.618}, "(target 61 N), uses 0.62 of the grip, jaws 28 mm apart"),
         ({"phase": "idle", "slipping": False, "gripper": None}, "idle (mode lift, guarding)"),
         ({"gripper": None}, "grip not connected"),
         ({"gripper": replace(GRIPPER, fault="under-voltage")}, "gripper fault: under-voltage"),

@@ -124,6 +124,36 @@ def test_a_lever_that_rotates_fast_is_raised_slowly() -> None:
     assert all(1.0 <= leg.speed_mm_s <= 1.5 for leg in legs[:1])
 
 
+def test_an_object_whose_far_end_rests_on_the_table_does_not_hang_and_rotates_no_faster_than_2_deg_s() -> None:
+    """It rotates by 0.17 degrees for each mm, the far end of one 340 mm long. Frames are 0.1 s old."""
+    play = lifting(LogNormal(0.02, 0.8))
+    height_mm, speed_mm_s, speeds = 0.0, 5.0, []
+    for _ in range(150):
+        play.view = changed(play.view, rotation_deg=0.17 * max(height_mm - 0.1 * speed_mm_s, 0.0), rate_deg_s=None)
+        play.here = changed(arm(height_mm, moving=True), speed_mm_s=speed_mm_s)
+        command = play.step()
+        if isinstance(command.arm, LiftArm):
+            speed_mm_s = command.arm.speed_mm_s
+        height_mm += 0.02 * speed_mm_s
+        speeds.append(speed_mm_s)
+    assert not play.grasp.held.load.hangs
+    assert height_mm > 20.0
+    assert max(speeds) * 0.17 == pytest.approx(2.0, rel=0.25)
+
+
+def test_what_the_fingers_differ_by_is_found_again_after_a_tightening() -> None:
+    """A firmer grip moves the imprint in one of them; when the other is lost for a moment, nothing has moved."""
+    motion, moved_mm = ContactMotion(noise=NOISE_LEAST), 0.0
+    for k in range(40):
+        one_finger, tightening, firmer = k in (5, 35), k == 10, k >= 10
+        view = fused(0.0, at_s=0.02 * k, fingers=("left",) if one_finger else ("left", "right"))
+        shift_mm = (1.0 if one_finger else 0.3) * firmer
+        view = changed(view, shift_mm=shift_mm, shift_fingers=view.fingers)
+        motion, moved = motion.followed(view, rests=False, settled=not tightening, sure=True)
+        moved_mm += abs(moved[1])
+    assert moved_mm == 0.0
+
+
 def test_a_gel_that_hangs_teaches_its_stiffness_once() -> None:
     play = lifting(STIFFNESS_PRIOR)
     before = play.grasp.gel
