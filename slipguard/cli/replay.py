@@ -147,7 +147,10 @@ def _print_result(console: Any, done: ReplayResult, against: bool) -> None:
     )
     console.print(table)
     if not done.estimates.processed:
-        console.print("no frame was processed: there are no images, or no new reference was taken in the recording")
+        console.print(
+            "no frame was processed: there are no images, or no reference was taken in the recording and in the files "
+            "before it"
+        )
     for damage in done.damage:
         console.print(f"{damage}: processed up to there")
     if against:

@@ -26,6 +26,7 @@ from slipguard.tools.image_files import FileFrame, find_image_files, read_frames
 
 PX_PER_MM = 18.5
 """Scale of a DIGIT at 240 x 320; only shifts depend on it."""
+SINGLE = "single frame: only the orientation is known"
 ENDS = 30
 """Rows of a table before and after those that are left out."""
 
@@ -69,7 +70,7 @@ def measure(
         patch = pipeline.last_patch
         if independent and estimate.contact and patch is not None:  # without a reference, the axis is all there is
             axis = estimate_axis(patch, "moments" if settings.estimator == "registration" else settings.estimator)
-            estimate = replace(estimate, orientation_deg=axis.angle_deg)
+            estimate = replace(estimate, orientation_deg=axis.angle_deg, declined=SINGLE)
         if reference is None and pipeline.has_reference:
             reference = frame.name
         mask = pipeline.last_mask.copy() if estimate.contact else np.zeros(frame.image.shape[:2], np.uint8)

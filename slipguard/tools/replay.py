@@ -1,14 +1,16 @@
 """Replay of a recording: the same frames through the pipeline, the same observations through the controller.
 
 The controller runs twice: on the recorded estimates, which must give exactly the recorded commands, and, if there are
-images, on the pipeline's new estimates. A finger's pipeline starts at the first new reference of the recording, because
-earlier references are not in the file. Nothing moves in a replay: after the first difference the recorded world no
+images, on the pipeline's new estimates. A finger's pipeline starts at the first new reference. If the first file takes
+none, for it is a later part of a recording, the files before it in its folder are processed from the last reference on,
+without being counted. Nothing moves in a replay: after the first difference the recorded world no
 longer responds to the commands, so only the first difference counts.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -37,6 +39,8 @@ SHOWN_MAX = 1000
 """Phases, faults and differences that are kept; a recording may hold any number of control steps."""
 _Level = Annotated[float, Field(ge=0.0, le=255.0)]
 _NOISE = TypeAdapter(tuple[_Level, _Level, _Level])
+PART_GAP_S = 1.0
+"""Longest time from the last frame of a file to the first frame of the next part of the recording."""
 KEPT_ESTIMATES = 64
 """Estimates kept per finger; the loop uses none older than 150 ms."""
 
@@ -117,38 +121,70 @@ def replay(opened: list[Recording], model: Path | None = None) -> ReplayResult:
 
     Raises ModelError if the model cannot be loaded, even if no frame needs it.
     """
-    segmenter = Segmenter(model)
-    done = ReplayResult()
+    player, done = _RecordingPlayer(Segmenter(model)), ReplayResult()
+    for recording in parts_since_reference(opened[0]) if opened else []:
+        player.play(recording, ReplayResult())
     for recording in opened:
         done.image = "none"
-        _RecordingPlayer(recording, segmenter, done).play()
+        player.play(recording, done)
         if recording.damage is not None:
             done.damage.append(f"{recording.path.name} {recording.damage}")
     return done
 
 
-class _RecordingPlayer:
-    """Plays one file into a `ReplayResult`.
+def parts_since_reference(first: Recording) -> list[Recording]:
+    """Return the files before a file that takes no reference, from the last one that does; none if there is none."""
+    if _takes_reference(first):
+        return []
+    found: list[Recording] = []
+    for path in sorted(first.path.parent.glob(f"*{SUFFIX}"), reverse=True):
+        if path.name >= first.path.name:
+            continue
+        try:
+            found.insert(0, open_recording(path))
+        except InputError:
+            return []
+        if not _same_header(found[0], first):
+            return []
+        if _takes_reference(found[0]):
+            return found
+    return []
 
-    A finger is live while its pipeline has received every frame since its reference. renewed: its pipeline was built
-    again with a background image that is in the next file only.
+
+def _takes_reference(recording: Recording) -> bool:
+    return any(isinstance(item.value, m.FrameRecord) and item.value.new_reference for item in recording.items())
+
+
+def _same_header(one: Recording, other: Recording) -> bool:
+    return one.facts == other.facts and one.attachments == other.attachments
+
+
+class _RecordingPlayer:
+    """Plays files, one after the other, each into a `ReplayResult`.
+
+    A finger is live while its pipeline has received every frame since its reference, also across the files of one
+    recording. renewed: its pipeline was built again with a background image that is in the next file only.
     """
 
-    def __init__(self, recording: Recording, segmenter: Segmenter, done: ReplayResult) -> None:
-        self._recording, self._done = recording, done
-        settings = recorded_settings(recording)
-        self._params: GuardParams = settings.guard
-        self._segmenter, self._settings = segmenter, settings
+    def __init__(self, segmenter: Segmenter) -> None:
+        self._segmenter = segmenter
+        self._recording: Recording | None = None
+        self._begins, self._last_s = True, -math.inf
         self._pipelines: dict[str, Pipeline] = {}
         self._live = dict.fromkeys(FINGERS, False)
         self._renewed = dict.fromkeys(FINGERS, False)
         self._images: dict[str, StoredImage] = {}
         self._estimates: dict[str, dict[int, Estimate]] = {finger: {} for finger in FINGERS}
+
+    def play(self, recording: Recording, done: ReplayResult) -> None:
+        """Play one file. Pipelines go on where the last one ended if it is the next part of the same recording."""
+        if self._recording is None or not _same_header(self._recording, recording):
+            self._restart()
+        self._recording, self._path, self._done = recording, recording.path, done
+        self._begins, self._settings = True, recorded_settings(recording)
         self._states: dict[str, ControlState] = {}
         self._phase = done.phases[-1][1] if done.phases else None
-
-    def play(self) -> None:
-        for item in self._recording.items():
+        for item in recording.items():
             value = item.value
             if isinstance(value, ControlState):
                 self._states = {"recorded": value, "frames": value}
@@ -160,10 +196,19 @@ class _RecordingPlayer:
                 isinstance(value, StoredImage) and item.topic == m.IMAGE_TOPIC[value.source] and value.source in FINGERS
             ):
                 self._images[value.source] = value
-                self._done.image = value.format
+                done.image = value.format
+
+    def _restart(self) -> None:
+        """Forget the pipelines: the next frames are of another recording."""
+        self._pipelines, self._last_s = {}, -math.inf
+        self._live, self._renewed = dict.fromkeys(FINGERS, False), dict.fromkeys(FINGERS, False)
+        self._estimates = {finger: {} for finger in FINGERS}
 
     def _play_frame(self, finger: str, record: m.FrameRecord) -> None:
         image = self._images.pop(finger, None)
+        if self._begins and abs(record.captured_at_s - self._last_s) > PART_GAP_S:
+            self._restart()
+        self._begins, self._last_s = False, record.captured_at_s
         if record.new_pipeline:  # its background image is in the next file
             self._live[finger], self._renewed[finger] = False, True
         if record.new_reference:
@@ -212,7 +257,7 @@ class _RecordingPlayer:
             done.faults.append(str(fault))
         if not self._states:
             raise InputError(
-                f"{self._recording.path}: a control step precedes the controller's state. The recording is incomplete"
+                f"{self._path}: a control step precedes the controller's state. The recording is incomplete"
             )
         self._states["recorded"] = self._compare(done.on_recorded, self._states["recorded"], cycle)
         fresh = {
@@ -228,7 +273,7 @@ class _RecordingPlayer:
         )
 
     def _compare(self, into: ControllerReplay, memory: ControlState, cycle: m.CycleRecord) -> ControlState:
-        memory, output = control_step(memory, cycle.observation, self._params)
+        memory, output = control_step(memory, cycle.observation, self._settings.guard)
         into.ticks += 1
         if output != cycle.output:
             into.differ += 1

@@ -111,6 +111,7 @@ def test_independent_frames_have_an_orientation_but_no_rotation(
     assert all(line["angle_deg"] is None for line in seen)
     assert seen[-1]["orientation_deg"] == pytest.approx(32.0, abs=3.0)
     assert all(line["skipped"] != "unchanged" for line in seen)
+    assert {line["declined"] for line in seen if line["contact"]} == {"single frame: only the orientation is known"}
 
 
 def test_masks_have_the_size_of_the_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
