@@ -120,35 +120,3 @@ async def test_a_refusal_is_shown_with_the_daemons_reason(running: DaemonProcess
     await expect(page.locator("#dialog")).to_be_visible()
     await page.click("#dialog-cancel")
     await expect(page.locator("#message")).to_contain_text("give a height")
-
-
-async def test_all_controls_work_by_keyboard(running: DaemonProcess, open_page) -> None:  # type: ignore[no-untyped-def]
-    running.held(again=False)
-    page = await open_page()
-    keyboard, focus = page.keyboard, page.locator(":focus")
-    seen = []
-    for _ in range(10):
-        await keyboard.press("Tab")
-        seen.append(await focus.evaluate("one => one.id || one.textContent"))
-        ring = await focus.evaluate("one => parseFloat(getComputedStyle(one).outlineWidth)")
-        assert ring >= 2.0, f"{seen[-1]}: no visible focus"
-    names = ["stop", "grasp", "lift", "lower", "guard", "clear", "calibrate", "release"]
-    assert seen == ["Skip to commands", *(f"do-{name}" for name in names), "overlay"]
-    at_mm = running.state()["arm"]["height_mm"]
-    await page.focus("#do-lift")
-    await keyboard.press("Enter")
-    await expect(page.locator("#dialog-cancel")).to_be_focused()
-    await keyboard.press("Escape")
-    await expect(page.locator("#dialog")).to_be_hidden()
-    await expect(page.locator("#do-lift")).to_be_focused()
-    await keyboard.press("Enter")
-    await expect(page.locator("#dialog-confirm")).to_be_enabled()
-    await keyboard.press("Shift+Tab")
-    await keyboard.press("Enter")
-    await expect(page.locator("#field-height_mm")).to_have_value("45")
-    await keyboard.press("Tab")
-    await keyboard.press("Tab")
-    await expect(page.locator("#dialog-confirm")).to_be_focused()
-    await keyboard.press("Enter")
-    await expect(page.locator("#message")).to_have_text("lifting by 45 mm")
-    running.until(lambda state: state["phase"] == "holding" and state["arm"]["height_mm"] > at_mm + 44.0)

@@ -51,9 +51,8 @@ HELD_FAULTS = (
     (("arm",), "protective_stop"),
     (("arm",), "emergency_stop"),
 )
-IDLE_FAULTS = tuple((device,) for device in (*FINGERS, "gripper", "arm"))
-HELD_FAULT_SHARE, IDLE_FAULT_SHARE, CALIBRATION_SHARE = 0.4, 0.15, 0.05
-"""Shares of cycles with a fault while holding, with a disconnected cable while idle, with a calibration."""
+HELD_FAULT_SHARE, CALIBRATION_SHARE = 0.4, 0.1
+"""Shares of cycles with a fault while holding, and with a calibration."""
 
 
 def place_object(world: World, name: str, seed: int, fps: float, now_s: float) -> None:
@@ -173,11 +172,8 @@ class WorkShift:
             await asyncio.sleep(POLL_S)
 
     async def _rest(self) -> None:
-        """Pause without an object; sometimes disconnect a cable or calibrate the sensors."""
-        chance = self._random.random()
-        if chance < IDLE_FAULT_SHARE:
-            await self._fault(self._random.choice(IDLE_FAULTS), "disconnect")
-        elif chance < IDLE_FAULT_SHARE + CALIBRATION_SHARE:
+        """Pause without an object; sometimes calibrate the sensors."""
+        if self._random.random() < CALIBRATION_SHARE:
             await self._until_accepted(CalibrateRequest(force=True))
             self.counts["calibrations"] += 1
         await asyncio.sleep(self._random.uniform(*REST_S))

@@ -39,8 +39,6 @@ RUN_HERE = (
     "python -m tests.campaigns --help",
 )
 """Commands that need neither devices nor minutes: run as they stand."""
-TRY_IT = "python3 -m venv .venv && .venv/bin/pip install . && .venv/bin/slipguard --sim"
-TEST_IT = "python3 -m venv .venv && .venv/bin/pip install -e '.[test]' && .venv/bin/python -m pytest"
 
 
 def commands(path: Path) -> set[tuple[str, str]]:
@@ -87,12 +85,6 @@ def test_every_command_exists(path: Path, pytestconfig: pytest.Config) -> None:
                 assert (ROOT / word.partition("::")[0]).exists(), f"`pytest {arguments}`: no {word}"
 
 
-def test_a_wrong_command_is_detected() -> None:
-    for wrong in ("ctl lift --height 3", "ctl lift --height-mm high", "--simulate", "ctl lit", "emulate cell --fps 50"):
-        with pytest.raises(BaseException, match=r"(?i)no such|valid number|not one of"):
-            check("slipguard", wrong)
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("command", RUN_HERE)
 def test_it_runs_as_it_stands(command: str, sandbox: Sandbox) -> None:
@@ -117,11 +109,6 @@ def test_every_path_exists(path: Path) -> None:
         assert (path.parent / link).exists(), link
     for name in re.findall(r"`((?:slipguard|systemd|tests|models|drivers|\.ci|\.github)/[\w./-]*)[ `]", text):
         assert (ROOT / name).exists() or (path.parent / name).exists(), name
-
-
-def test_two_lines_set_everything_up() -> None:
-    """`.ci/run` begins with them."""
-    assert re.findall(r"^```sh\n(.*?)\n```$", README, re.M | re.S) == [TRY_IT, TEST_IT]
 
 
 def test_the_readme_is_short() -> None:

@@ -136,14 +136,6 @@ def test_the_service_grips_and_is_confined(
     assert (owner != "root", group, mode) == (True, "dialout", "660")
 
 
-def test_the_doctor_reports_the_background_images_of_the_service(container: Container) -> None:
-    """They are in the service's state folder, not in that of root."""
-    words = (PROGRAM, "doctor", "--config", "/etc/slipguard/config.toml", "--json")
-    checks = json.loads(container.run(*words).stdout)["checks"]
-    assert [one["status"] for one in checks if one["check"] == "background image"] == ["ok", "ok"]
-    assert not [one for one in checks if one["check"] == "state folder"]
-
-
 def test_the_service_reloads_a_changed_configuration(container: Container, config: Path) -> None:
     config.write_text(config.read_text().replace("[guard]\n", "[guard]\nforce_max_n = 120\n"))
     container.systemctl("reload")
@@ -221,20 +213,6 @@ def test_the_doctor_checks_with_the_rights_of_the_service(
     container.run("chgrp", "root", port, check=True)
     assert "access is denied" in found()["gripper", "problem"]
     container.run("chgrp", "dialout", port, check=True)
-
-
-def test_the_journal_has_priorities_text_and_fields(container: Container) -> None:
-    """All that the service ever wrote, except Python's stacks of the one that the watchdog aborted."""
-    native = container.journal("_TRANSPORT=journal")
-    assert len(native) > 10
-    assert {entry["PRIORITY"] for entry in native} <= {"3", "4", "6"}
-    assert all(entry["SLIPGUARD_EVENT"] and entry["SYSLOG_IDENTIFIER"] == "slipguard" for entry in native)
-    assert not [entry["MESSAGE"] for entry in native if entry["MESSAGE"].startswith("{")]
-    plain = [entry["MESSAGE"] for entry in container.journal("_TRANSPORT=stdout") if entry["PRIORITY"] == "6"]
-    stacks = re.compile(r"Fatal Python error|(Current t|T)hread 0x|  File |  \.\.\.|Extension modules:|$")
-    assert [line for line in plain if not stacks.match(line)] == []
-    warnings = container.run("journalctl", "--quiet", "--no-pager", "-u", UNIT, "-p", "warning").stdout
-    assert "forse_max_n: no such key" in warnings
 
 
 def test_the_service_writes_to_its_own_folders_only(container: Container, before: dict[str, tuple[int, int]]) -> None:

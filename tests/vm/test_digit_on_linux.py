@@ -39,17 +39,6 @@ def test_two_sensors_are_found_by_serial_with_leds_access_and_their_own_images(m
     assert max(seen["own"]) < ROTATED_GREY_LEVELS < min(seen["other"])
 
 
-@pytest.mark.parametrize(
-    ("pixels", "settings", "zoom"), [("YUYV", {"firmware": 199}, 255), ("both", {}, 0xFFF), ("MJPG", {}, 0xFFF)]
-)
-def test_old_firmware_and_other_formats(machine: Machine, pixels: str, settings: dict[str, int], zoom: int) -> None:
-    seen = machine.play("scenes:opened", pixels=pixels, **settings)
-    assert seen["zoom"] == zoom
-    assert seen["mode"] == f"320x240 {'MJPG' if pixels == 'MJPG' else 'YUYV'} at 60 frames per second"
-    assert [remark for remark in seen["remarks"] if "LED" in remark] == []
-    assert seen["off_by"] < ROTATED_GREY_LEVELS
-
-
 def test_every_fault_has_a_text(machine: Machine) -> None:
     names = {"stall": "DeviceTimeout", "freeze": "FrameFrozen", "corrupt": "FrameCorrupt", "short": "FrameCorrupt"}
     for attempt in range(ATTEMPTS):
@@ -78,18 +67,6 @@ def test_an_unplugged_sensor_is_reported_at_once(machine: Machine) -> None:
         if seen["after_s"] <= 0.05:
             return
     pytest.fail(f"unplugged, and reported only after {seen['after_s']:.3f} s")
-
-
-@pytest.mark.parametrize("unplugged_s", [0.5, 2.5])
-def test_a_sensor_that_is_plugged_in_again_continues(machine: Machine, unplugged_s: float) -> None:
-    for attempt in range(ATTEMPTS):
-        with machine.undisturbed():
-            seen = machine.play("scenes:replug", unplugged_s=unplugged_s)
-        print(f"attempt {attempt}: {seen}")
-        assert seen["gone"]
-        if seen["again_s"] <= 2.0:
-            return
-    pytest.fail(f"plugged in again, and frames only after {seen['again_s']:.1f} s")
 
 
 def test_the_sensor_contract_holds_on_a_real_kernel(machine: Machine) -> None:

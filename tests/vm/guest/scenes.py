@@ -17,12 +17,8 @@ import cv2
 import numpy as np
 from plug import attach, modprobe, settle
 
-from slipguard.daemon.loop.capture import StreamRestarts
-from slipguard.daemon.loop.finger import Finger
-from slipguard.daemon.loop.worker import ThreadWorker
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
-from slipguard.perception.estimate import Estimate
 from slipguard_drivers.digit.camera import DigitSensor
 from slipguard_drivers.digit.discovery import DigitDevice, connected_digits
 from slipguard_emulators.digit.emulator import DigitEmulator, EmulatedCamera
@@ -31,8 +27,6 @@ PATIENCE_S = 20.0
 SERIALS = ("D20001", "D20002")
 SERIAL = SERIALS[0]
 IMAGES = Path("/tmp/images")
-RETRY_S = 0.5
-"""The daemon's own (`loop.retry_s`)."""
 
 
 async def rates(seconds: float) -> dict[str, object]:
@@ -184,23 +178,6 @@ def likeness(frames: list[Frame], camera: EmulatedCamera) -> float:
     return max(float(np.abs(sent - frame.image).mean(axis=(1, 2, 3)).min()) for frame in frames[:3])
 
 
-async def opened(**settings: Any) -> dict[str, object]:
-    """What the driver makes of a sensor of another kind."""
-    async with emulated(**settings) as emulator:
-        sensor = digit()
-        await sensor.open()
-        frames = await good(sensor, 5)
-        (camera,) = emulator.cameras.values()
-        seen = {
-            "mode": str(sensor.mode),
-            "zoom": camera.unit.zoom,
-            "remarks": sensor.remarks,
-            "off_by": likeness(frames, camera),
-        }
-        await sensor.close()
-        return seen
-
-
 async def contract() -> dict[str, object]:
     """The contract suite, as on real hardware: `pytest tests/contract/test_sensor_contract.py --digit SERIAL`."""
     async with emulated():
@@ -232,43 +209,6 @@ async def faults(pixels: str, nodrop: int = 1) -> dict[str, Any]:
         await good(sensor, 5)
         await sensor.close()
     return expected
-
-
-class Perceiving:
-    """In place of the perception: here only the frames count."""
-
-    def process(self, frame: Frame) -> Estimate:
-        return Estimate(frame.sequence, frame.captured_at_s, frame.captured_at_s, False, 0, "none")
-
-    last_patch = None
-
-    def keep_estimate(self, captured_at_s: float) -> None:
-        return
-
-    def reset_reference(self) -> None:
-        return
-
-
-async def replug(unplugged_s: float) -> dict[str, float]:
-    """A cable comes loose while a finger of the daemon watches, and is plugged in again after a while."""
-    async with emulated() as emulator:
-        make = (ThreadWorker("left"), lambda serial: Perceiving())
-        finger = Finger("left", digit(fps=30), *make, RETRY_S, StreamRestarts(), lambda: None)
-        running = asyncio.create_task(finger.run())
-        try:
-            await until(lambda: finger.capture.counts.frames > 10 and finger.health.ready)
-            emulator.control("fault unplug")
-            seen_s = await until(lambda: not finger.health.ready)
-            await asyncio.sleep(unplugged_s)
-            gone_from_system = not await asyncio.to_thread(connected_digits)
-            emulator.control("clear")
-            before = finger.capture.counts.frames
-            await attach(emulator.port)
-            again_s = await until(lambda: finger.capture.counts.frames > before)
-        finally:
-            running.cancel()
-            await asyncio.gather(running, return_exceptions=True)
-        return {"seen_s": seen_s, "gone": gone_from_system, "again_s": again_s}
 
 
 async def unplug() -> dict[str, object]:
