@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import threading
 
 import numpy as np
 import pytest
-from loop_cell import Cell, on_cell, running
+from loop_cell import Cell, on_cell
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
@@ -97,19 +96,6 @@ async def test_a_silent_device_is_not_blamed_alone_if_the_loop_was_late(cell: Ce
 
 
 @on_cell("wrench", 1)
-async def test_workers_that_are_late_are_named(cell: Cell) -> None:
-    await cell.grasp()
-    for worker in cell.workers.values():
-        worker.latency_s = 0.5
-    fault = await cell.faulted(FaultCode.MACHINE_BUSY, 1.0)
-    assert "frames arrive, but are processed" in fault.observed
-    for worker in cell.workers.values():
-        worker.latency_s = 0.006
-    await asyncio.sleep(1.0)
-    await held_and_cleared(cell)
-
-
-@on_cell("wrench", 1)
 async def test_processing_that_never_returns_is_named(cell: Cell) -> None:
     await cell.grasp()
     for worker in cell.workers.values():
@@ -139,23 +125,6 @@ async def test_the_newest_frame_wins_when_the_worker_is_slow(cell: Cell) -> None
         assert finger.capture.counts.late > 50
         assert finger.captured_at_s is not None
         assert cell.now_s - finger.captured_at_s < 0.17
-
-
-async def test_on_the_real_clock_with_threads_it_grips_and_ends_its_threads() -> None:
-    others = set(threading.enumerate())  # threads of an earlier test may not have ended yet
-    cell = Cell(
-        "key",
-        1,
-        guard={"tuning": {"reference_timeout_s": 5.0, "frames_timeout_s": 5.0, "cycle_timeout_s": 5.0}},
-        threads=True,
-    )
-    async with running(cell):
-        await cell.grasp()
-        names = {thread.name for thread in threading.enumerate()}
-        assert any(name.startswith("slipguard-left") for name in names)
-        assert cell.truth.in_contact
-    assert cell.truth.in_contact
-    assert not [one for one in set(threading.enumerate()) - others if one.name.startswith("slipguard-")]
 
 
 def test_a_late_loop_skips_and_counts_and_does_not_burst() -> None:

@@ -134,17 +134,3 @@ def test_wear_does_not_hide_behind_the_next_calibration_but_a_new_gel_starts_fre
         assert bench.monitor.conditions["left"].light.marks == ()
 
     play(scene, store)
-
-
-def test_endless_contact_is_reported_if_the_jaws_are_open() -> None:
-    async def scene(bench: Bench) -> None:
-        await bench.show(gel(), 590.0, contact=True)
-        assert bench.reported == []
-        await bench.show(gel(), 1000.0, contact=True)
-        assert len(bench.reported) == 1
-        assert "left: contact for 10 minutes with open jaws" in bench.reported[0]
-        bench.service.gripper.newest = None
-        await bench.show(gel(), 1000.0, contact=True, renewed=True)
-        assert len(bench.reported) == 1
-
-    play(scene)

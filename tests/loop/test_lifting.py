@@ -96,14 +96,3 @@ async def test_an_object_without_estimate_is_not_lifted_where_that_is_refused(ce
     assert cell.truth.applied_n < 45.0
     assert not [command for command in cell.arm.commands if command[1] == "lift"]
     await cell.release()
-
-
-@on_cell("wrench", 1, guard=BRISK, declined={"right": "round contact"})
-async def test_one_finger_that_sees_is_enough(cell: Cell) -> None:
-    await cell.grasp()
-    assert cell.service.state.held.referenced
-    await cell.lift()
-    await asyncio.sleep(0.5)
-    assert cell.phase is Phase.HOLDING
-    assert abs(cell.truth.rotation_deg) < 25.0
-    assert any("by one finger only (right finger: round contact)" in line for line in cell.messages)

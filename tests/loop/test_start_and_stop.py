@@ -7,7 +7,6 @@ import contextlib
 import os
 import signal
 import socket
-import threading
 from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,6 @@ from slipguard.control.state import Phase
 from slipguard.daemon import lifecycle
 from slipguard.daemon import run as root
 from slipguard.daemon.api.requests import GraspRequest
-from slipguard.daemon.lifecycle import exit_if_stuck
 from slipguard.daemon.loop.actuator import Actuator
 from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.devices import Frame
@@ -296,19 +294,3 @@ def test_a_task_that_ignores_cancellation_is_named_and_cancelled_again(
     (line,) = [line for line in reported if "cancelled again" in line["event"]]
     assert "extra" in line["tasks"]
     assert reported[-1]["event"] == "slipguard stops; the grip stays as it is"
-
-
-async def test_a_hanging_process_exits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lifecycle, "EXIT_S", 0.05)
-    left, codes = threading.Event(), list[int]()
-
-    def leave(code: int) -> None:
-        codes.append(code)
-        left.set()
-
-    structlog.reset_defaults()
-    with capture_logs() as reported:
-        exit_if_stuck(leave)
-        assert left.wait(30.0), "the loop stands still meanwhile"
-    assert codes == [1]
-    assert "process exits" in reported[-1]["event"]

@@ -10,11 +10,10 @@ import pytest
 from loop_cell import Cell, on_cell
 
 from slipguard.control.state import Phase
-from slipguard.daemon.api import handlers
 from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
-from slipguard.errors import CommandRefused, DeviceTimeout
+from slipguard.errors import CommandRefused
 from slipguard.sim.world import World, WorldSettings
 
 CONFIRMED = ActivateRequest(confirm=True)
@@ -65,18 +64,6 @@ async def test_refused_while_an_object_is_held_and_the_gripper_was_switched_off_
     await cell.submit(MoveJawsRequest(width_mm=50.0))
 
 
-@on_cell(make=switched_on)
-async def test_refused_while_a_finger_sees_contact_unless_the_gels_are_covered(cell: Cell) -> None:
-    await cell.ready()
-    for perceiver in cell.perceivers["left"]:
-        perceiver.always_touched = True
-    await asyncio.sleep(0.2)
-    with pytest.raises(CommandRefused, match="left finger is in contact"):
-        await cell.submit(CONFIRMED)
-    assert cell.width_mm == 85.0
-    await cell.submit(ActivateRequest(confirm=True, force=True))
-
-
 @pytest.mark.parametrize("damaged", [False, True])
 @on_cell(make=switched_on)
 async def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripper_was_active(
@@ -97,33 +84,3 @@ async def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripp
     await asyncio.sleep(0.2)
     assert not cell.service.state.adoption.outdated
     assert store.load_last_grasp() is None
-
-
-@on_cell(make=switched_on)
-async def test_a_failed_activation_is_reported(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
-    await cell.ready()
-
-    async def fails() -> None:
-        raise DeviceTimeout("gripper: not activated after 10 s (activation fault)")
-
-    monkeypatch.setattr(cell.gripper, "activate", fails)
-    monkeypatch.setattr(cell.service.gripper, "_poll_s", 0.2)
-    with pytest.raises(CommandRefused, match="the activation failed: gripper: not activated after 10 s"):
-        await cell.submit(CONFIRMED)
-
-    async def succeeds() -> None:
-        await asyncio.sleep(3.0)
-        cell.world.gripper_activated = True
-
-    assert not cell.service.gripper.health.ready, "of the command before"
-    monkeypatch.setattr(cell.gripper, "activate", succeeds)
-    assert "is activated" in str(await cell.submit(CONFIRMED)), "it is reported as failed only when it has failed"
-    cell.world.gripper_activated = False
-
-    async def nothing() -> None:
-        await asyncio.sleep(0)
-
-    await asyncio.sleep(0.5)
-    monkeypatch.setattr(cell.gripper, "activate", nothing)
-    with pytest.raises(CommandRefused, match=f"within {handlers.ACTIVATED_WITHIN_S:g} s; the jaws may still move"):
-        await cell.submit(CONFIRMED)

@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 from command_line import slipguard
-from hypothesis import given
-from hypothesis import strategies as st
 
 from slipguard.config import parse_config, read_config
 from slipguard.errors import ConfigError
@@ -145,25 +143,6 @@ def test_a_wrong_value_is_shown_with_its_key(raw: dict[str, Any], expected: str)
     assert len(text) < 250
 
 
-@pytest.mark.parametrize(
-    ("raw", "expected"),
-    [
-        ({"gripper": {"robotiq": {"prot": "/dev/ttyUSB0"}}}, "gripper.robotiq.prot: no such key; did you mean 'port'?"),
-        ({"grippr": {"robotiq": {"port": "/dev/x"}}}, "grippr: no such key; did you mean 'gripper'?"),
-        (
-            {"gripper": {"driver": "fake"}, "loop": {"period_ms": 0, "pol_ms": 5}},
-            "loop.pol_ms: no such key; did you mean 'poll_ms'?",
-        ),
-    ],
-)
-def test_of_several_errors_the_typo_is_named_first(raw: dict[str, Any], expected: str) -> None:
-    fingers = {name: {"digit": {"serial": f"D2000{number}"}} for number, name in enumerate(("left", "right"))}
-    with pytest.raises(ConfigError) as caught:
-        parse_config(fingers | {"arm": {"driver": "fake"}} | raw, where="c.toml")
-    found = re.sub(r"^c\.toml: (\d+ mistakes:\s+)?", "", str(caught.value))
-    assert found.startswith(expected)
-
-
 TUNING = "guard.tuning."
 FAKES = {name: {"driver": "fake"} for name in ("left", "right", "gripper", "arm")}
 
@@ -269,24 +248,6 @@ def test_one_sensor_for_both_fingers_is_refused() -> None:
     assert text == "c.toml: right.digit.serial = 'D20479': already used by left.digit.serial; the values must differ"
     sockets = {name: {"driver": "socket", "socket": {"path": "/run/a.sock"}} for name in ("left", "right")}
     assert "right.socket.path = " in complaint(devices | sockets, sim=False)
-
-
-@given(
-    first=st.none() | st.integers(1, 235),
-    most=st.none() | st.floats(1.0, 235.0),
-    key=st.sampled_from(["first_force_n", "force_max_n", "stop_on_slip", "lift_height_mm", "mode"]),
-)
-def test_the_default_of_a_missing_force_fits_the_given_ones(first: int | None, most: float | None, key: str) -> None:
-    forces = {"first_force_n": first, "force_max_n": most}
-    guard = {name: force for name, force in forces.items() if force is not None}
-    if (first or 40) > (most or 130.0):
-        assert "first_force_n = " in complaint({"guard": guard})
-        return
-    made = parse_config({"guard": guard}, where="c.toml", sim=True).guard
-    assert made.first_force_n <= made.no_estimate_force_n <= made.force_max_n
-    assert made.no_estimate_force_n == 100.0 or made.no_estimate_force_n in (made.first_force_n, made.force_max_n)
-    quoted = str(getattr(made, key))
-    assert key == "mode" or f"guard.{key} = {quoted!r}" in complaint({"guard": guard | {key: quoted}})
 
 
 def leaves(table: dict[str, Any], path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:

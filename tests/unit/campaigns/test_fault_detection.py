@@ -69,17 +69,6 @@ def test_without_an_excuse_a_fault_is_observable_at_once(name: str) -> None:
     assert seen(name, rig())
 
 
-@pytest.mark.parametrize("device", list(RANKS))
-def test_a_more_severe_fault_of_the_same_device_hides_and_a_lesser_one_does_not(device: str) -> None:
-    for severe, lesser in zip(RANKS[device], RANKS[device][1:], strict=False):
-        if lesser == "stuck" or {severe, lesser} == {"stamps_ahead", "stamps_behind"}:
-            continue
-        cell = rig()
-        one, other = watched(f"{device}.{lesser}", cell), watched(f"{device}.{severe}", cell)
-        assert not is_observable(one, cell), (severe, lesser)
-        assert severe == "mirrored" or is_observable(other, cell), (severe, lesser)
-
-
 def test_a_removed_object_shows_in_a_camera_or_by_jaws_that_close_on_nothing() -> None:
     assert seen("object.taken", rig())
     assert not is_observable(watched("object.taken", rig(), held=False), rig()), "it was not guarded"
