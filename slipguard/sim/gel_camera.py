@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
-from slipguard.sim.background_image import background_image
-from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.gel_effects import GelMemory
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster
 from slipguard.sim.imprint import Imprint, Imprinter
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.sensor_unit import LightChange, SensorUnit
+from slipguard.sim.sensor_unit import CameraNoise, LightChange, SensorUnit, background_image
 
 Image = NDArray[np.uint8]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 from slipguard.devices import ArmState, GripperState
 from slipguard.errors import CommandRefused, InputError
@@ -107,32 +108,29 @@ class World:
         )
         placed = PlacedObject(scenario, item, body, needed_force_n(item, scenario.gel))
         self._deliveries = {"left": scenario.left, "right": scenario.right}
-        self._put(
-            replace(
-                self._cell,
-                gripper_model=scenario.gripper,
-                placed=placed,
-                motion=ObjectMotion(),
-                table_mm=arm_plant.pose(self._cell.arm, now_s).height_mm,
-                held=False,
-                dropped=None,
-            )
+        self._change(
+            gripper_model=scenario.gripper,
+            placed=placed,
+            motion=ObjectMotion(),
+            table_mm=arm_plant.pose(self._cell.arm, now_s).height_mm,
+            held=False,
+            dropped=None,
         )
 
     def take_table(self, now_s: float) -> None:
         """Remove the table: the fingers carry the whole weight at once."""
         self._advance(now_s)
-        self._put(replace(self._cell, table_mm=-math.inf))
+        self._change(table_mm=-math.inf)
 
     def shake(self, now_s: float, acceleration_m_s2: Callable[[float], float] | None) -> None:
         """Accelerate the fingers additionally from now on, up, by time: vibration, a touch. None ends it."""
         self._advance(now_s)
-        self._put(replace(self._cell, disturbance_m_s2=acceleration_m_s2))
+        self._change(disturbance_m_s2=acceleration_m_s2)
 
     def push(self, now_s: float, force: Callable[[float], tuple[float, float]] | None) -> None:
         """Push the object from now on: force downwards (N) and torque (N m) by time. None ends it."""
         self._advance(now_s)
-        self._put(replace(self._cell, push=force))
+        self._change(push=force)
 
     def add_mass(self, now_s: float, mass_kg: float) -> None:
         """Put mass on the object at its center of mass: something is poured or laid into it."""
@@ -143,12 +141,12 @@ class World:
         old, item = placed.body, replace(placed.item, mass_kg=placed.item.mass_kg + mass_kg)
         body = replace(old, mass_kg=old.mass_kg + mass_kg, inertia_kg_m2=old.inertia_kg_m2 + mass_kg * old.lever_m**2)
         placed = replace(placed, item=item, body=body, needed_n=needed_force_n(item, placed.scenario.gel))
-        self._put(replace(self._cell, placed=placed))
+        self._change(placed=placed)
 
     def clear(self, now_s: float) -> None:
         """Remove the object, if any; the jaws stay as they are."""
         self._advance(now_s)
-        self._put(replace(self._cell, placed=None, motion=ObjectMotion(), held=False, dropped=None))
+        self._change(placed=None, motion=ObjectMotion(), held=False, dropped=None)
 
     # The gripper.
 
@@ -160,7 +158,7 @@ class World:
             return self._cell.gripper.applied_n
         present, model = self._cell.gripper, self._cell.gripper_model
         plant, applied_n = gripper_plant.order_hold(present, model, now_s, force_n, goal_mm)
-        self._put(replace(self._cell, gripper=plant))
+        self._change(gripper=plant)
         return applied_n
 
     def command_move(self, now_s: float, width_mm: float, force_n: float) -> float:
@@ -172,7 +170,7 @@ class World:
             return self._cell.gripper.width_mm
         model = self._cell.gripper_model
         plant, width_mm = gripper_plant.order_move(self._cell.gripper, model, now_s, width_mm, force_n)
-        self._put(replace(self._cell, gripper=plant))
+        self._change(gripper=plant)
         return width_mm
 
     def command_release(self, now_s: float, width_mm: float) -> None:
@@ -180,12 +178,12 @@ class World:
         _check("width_mm", width_mm)
         if not self._gripper_faulty():
             plant = gripper_plant.order_release(self._cell.gripper, self._cell.gripper_model, now_s, width_mm)
-            self._put(replace(self._cell, gripper=plant))
+            self._change(gripper=plant)
 
     def command_halt(self, now_s: float) -> None:
         """Stop the gripper's motor; width and force stay."""
         self._advance(now_s)
-        self._put(replace(self._cell, gripper=gripper_plant.order_halt(self._cell.gripper)))
+        self._change(gripper=gripper_plant.order_halt(self._cell.gripper))
 
     def gripper_state(self, now_s: float) -> GripperState:
         now_s = self._advance(now_s)
@@ -206,12 +204,12 @@ class World:
         if self._arm_stopped():
             return 0.0
         plan, speed_mm_s = arm_plant.order_lift(self._cell.arm, self.settings.arm, now_s, height_mm, speed_mm_s)
-        self._put(replace(self._cell, arm=plan))
+        self._change(arm=plan)
         return speed_mm_s
 
     def command_stop(self, now_s: float) -> None:
         now_s = self._advance(now_s)
-        self._put(replace(self._cell, arm=arm_plant.order_stop(self._cell.arm, self.settings.arm, now_s)))
+        self._change(arm=arm_plant.order_stop(self._cell.arm, self.settings.arm, now_s))
 
     def arm_state(self, now_s: float) -> ArmState:
         now_s = self._advance(now_s)
@@ -253,7 +251,7 @@ class World:
         if self._arm_stopped():
             stopped = arm_plant.order_stop(self._cell.arm, self.settings.arm, self._origin_s + self._steps * step_s)
             if stopped is not self._cell.arm:
-                self._put(replace(self._cell, arm=stopped))
+                self._change(arm=stopped)
         works = not self._gripper_faulty()
         while self._steps < goal and not self._static:
             self._steps += 1
@@ -264,8 +262,8 @@ class World:
         self._steps = max(self._steps, goal)
         return now_s
 
-    def _put(self, changed: CellState) -> None:
-        self._cell = changed
+    def _change(self, **changes: Any) -> None:
+        self._cell = replace(self._cell, **changes)
         self._static = False
 
 

@@ -31,9 +31,8 @@ from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
 from slipguard.errors import InputError
 from slipguard.perception.pipeline import ContactSegmenter, Pipeline
 from slipguard.perception.settings import PerceptionSettings
-from slipguard.sim.camera_noise import CameraNoise
 from slipguard.sim.raster import Field, f32
-from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
+from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR, CameraNoise
 from tests.campaigns.real_frames import RealFrame, indenter_frames, sphere_frames
 
 RotationMethod = Literal["relit", "rigid"]

@@ -21,8 +21,7 @@ from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import Frame, GripperState
 from slipguard.perception.estimate import Estimate
-from slipguard.sim.background_image import background_image
-from slipguard.sim.sensor_unit import random_unit
+from slipguard.sim.sensor_unit import background_image, random_unit
 
 NOISE_BGR = (2.0, 2.0, 2.0)
 OPEN = GripperState(True, False, False, False, 80.0, 0.0, None, 0.0)

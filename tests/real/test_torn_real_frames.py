@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from slipguard.perception.image_quality import find_tear
-from slipguard.sim.camera_noise import CameraNoise
-from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR
+from slipguard.sim.sensor_unit import NOISE_STD_BGR, STRIPE_STD_BGR, CameraNoise
 from slipguard.tools.image_files import read_bgr
 
 pytestmark = pytest.mark.real

@@ -10,8 +10,7 @@ import pytest
 
 from slipguard.datasets.background_patterns import drift
 from slipguard.perception.background import GelChange, compare_gel
-from slipguard.sim.background_image import background_image
-from slipguard.sim.sensor_unit import random_unit
+from slipguard.sim.sensor_unit import background_image, random_unit
 
 NOISE_BGR = (2.9, 1.5, 2.4)
 
