@@ -160,12 +160,15 @@ def plot(episodes: dict[str, dict[str, list[tuple[float, float]]]], path: str) -
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5.0 * len(episodes), 6.0), layout="constrained")
-    axes = figure.subplots(2, len(episodes), sharex=True, sharey="row", squeeze=False)
+    axes = figure.subplots(2, len(episodes), sharex=True, sharey="row")
     for column, (title, curves) in enumerate(episodes.items()):
-        axes[0][column].set_title(title)
-        axes[1][column].set_xlabel("time [s]")
+        began_s = min(at_s for values in curves.values() for at_s, _ in values)
+        axes[0, column].set_title(title)
+        axes[1, column].set_xlabel("time [s]")
         for row, (label, values) in enumerate(curves.items()):
-            axes[row][column].plot(*zip(*values, strict=True), ".-", markersize=2)
-            axes[row][column].grid(alpha=0.3)
-            axes[row][0].set_ylabel(label)
+            axes[row, column].plot(
+                [at_s - began_s for at_s, _ in values], [one for _, one in values], ".-", markersize=2
+            )
+            axes[row, column].grid(alpha=0.3)
+            axes[row, 0].set_ylabel(label)
     figure.savefig(path, dpi=120)

@@ -8,7 +8,6 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from lerobot.cameras import Camera, CameraConfig
 from lerobot.utils.decorators import check_if_already_connected, check_if_not_connected
@@ -18,8 +17,6 @@ from slipguard_client import FINGERS, DaemonUnreachable, LocalApi, RequestRefuse
 
 WIDTH_PX, HEIGHT_PX = 240, 320
 FIRST_FRAME_TIMEOUT_S = 5.0
-OVERLAY_PERIOD_S = 0.1
-"""The daemon draws the contact ten times per second."""
 log = logging.getLogger(__name__)
 
 
@@ -28,13 +25,11 @@ log = logging.getLogger(__name__)
 class SlipguardCameraConfig(CameraConfig):
     """finger: left or right.
 
-    overlay: the image with contour and axis of the contact drawn over it, 10 per second; otherwise as it was captured.
     max_age_ms: reading raises StaleFrame if the newest image was captured earlier.
     socket: path of the daemon's Unix socket; empty for the daemon that runs on this machine.
     """
 
     finger: str
-    overlay: bool = False
     max_age_ms: int = 500
     socket: str = ""
     fps: int | None = 60
@@ -55,14 +50,6 @@ class StaleFrame(TimeoutError):
     """No image is new enough; str() says how old the newest is, and why."""
 
 
-@dataclass(frozen=True, eq=False)
-class RgbImage:
-    """rgb: (320, 240, 3) uint8. captured_at_s: on this machine's monotonic clock."""
-
-    rgb: NDArray[np.uint8]
-    captured_at_s: float
-
-
 class SlipguardCamera(Camera):
     """Reads images in a thread; after a loss of the daemon it connects again by itself."""
 
@@ -70,10 +57,11 @@ class SlipguardCamera(Camera):
         super().__init__(config)
         self.config = config
         self._changed = threading.Condition()
-        self._newest: RgbImage | None = None
-        self._returned: RgbImage | None = None
+        self._newest: tuple[NDArray[np.uint8], float] | None = None
+        """Image and time of capture, on this machine's monotonic clock."""
+        self._returned: tuple[NDArray[np.uint8], float] | None = None
         self._problem: str | None = None
-        self._reader: StreamThread | _OverlayThread | None = None
+        self._reader: StreamThread | None = None
 
     def __str__(self) -> str:
         return f"gel camera {self.config.finger}"
@@ -116,10 +104,7 @@ class SlipguardCamera(Camera):
         if warmup and device["state"] != "ready":
             raise StaleFrame(f"{self}: the sensor is not ready: {device['reason']}. See `slipguard doctor`.")
         self._newest = self._returned = self._problem = None
-        if self.config.overlay:
-            self._reader = _OverlayThread(api, self.config.finger, self._set, self._on_lost)
-        else:
-            self._reader = StreamThread(api, f"/frames/{self.config.finger}", self._on_frame, self._on_lost)
+        self._reader = StreamThread(api, f"/frames/{self.config.finger}", self._on_frame, self._on_lost)
         try:
             if warmup:
                 self.async_read(1000.0 * FIRST_FRAME_TIMEOUT_S)
@@ -167,12 +152,12 @@ class SlipguardCamera(Camera):
 
     def _checked(self, max_age_ms: float) -> NDArray[np.uint8]:
         """Return the newest image if it is new enough: its age counts from its capture."""
-        newest = self._newest
-        assert newest is not None
-        age_ms = 1000.0 * (time.monotonic() - newest.captured_at_s)
+        assert self._newest is not None
+        rgb, captured_at_s = self._newest
+        age_ms = 1000.0 * (time.monotonic() - captured_at_s)
         if age_ms > max_age_ms:
             raise self._stale(f"the newest image is {age_ms:.0f} ms old, the limit is {max_age_ms:g} ms")
-        return newest.rgb.copy()
+        return rgb.copy()
 
     def _stale(self, what: str) -> StaleFrame:
         return StaleFrame(f"{self}: {what}{self._why()}. Check the sensor with `slipguard doctor`.")
@@ -183,42 +168,11 @@ class SlipguardCamera(Camera):
     def _on_frame(self, message: bytearray) -> None:
         frame = parse_frame(message)
         bgr = np.frombuffer(frame.pixels, np.uint8).reshape(frame.height_px, frame.width_px, 3)
-        self._set(RgbImage(np.ascontiguousarray(bgr[..., ::-1]), frame.captured_at_s))
-
-    def _set(self, image: RgbImage) -> None:
         with self._changed:
-            self._newest, self._problem = image, None
+            self._newest, self._problem = (np.ascontiguousarray(bgr[..., ::-1]), frame.captured_at_s), None
             self._changed.notify_all()
 
     def _on_lost(self, why: str) -> None:
         if why != self._problem:
             log.warning("%s: %s", self, why)
         self._problem = why
-
-
-class _OverlayThread(threading.Thread):
-    """Requests the processed images with the contact drawn over them, as `StreamThread` does for frames."""
-
-    def __init__(self, api: LocalApi, finger: str, on_image: Any, on_lost: Any) -> None:
-        super().__init__(daemon=True)
-        self._api, self._path, self._on_image, self._on_lost = api, f"/image/{finger}", on_image, on_lost
-        self._stopped = threading.Event()
-        self.start()
-
-    def stop(self) -> None:
-        self._stopped.set()
-        self.join(5.0)
-
-    def run(self) -> None:
-        newest_s = 0.0
-        while not self._stopped.wait(OVERLAY_PERIOD_S):
-            try:
-                content, headers = self._api.get(self._path)
-            except (DaemonUnreachable, RequestRefused) as why:
-                self._on_lost(str(why))
-                continue
-            captured_at_s = float(headers["x-captured-at-s"])
-            if captured_at_s > newest_s:
-                newest_s = captured_at_s
-                bgr = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-                self._on_image(RgbImage(np.ascontiguousarray(bgr[..., ::-1]), captured_at_s))

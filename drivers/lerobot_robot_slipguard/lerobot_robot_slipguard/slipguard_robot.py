@@ -25,8 +25,8 @@ SLIP = ("valid", "rotation_deg", "sigma_deg", "age_ms")
 """Of one estimate. Without one, valid is 0 and so are the others: a NaN would make a data set's statistics NaN."""
 ESTIMATES_KEPT = 240
 """Two seconds of two cameras at 60 frames per second."""
-ESTIMATE_MAX_AGE_S = 0.15
-"""As for the guard: if the newest estimate is older, none is valid any more."""
+ESTIMATE_MAX_AGE_S = 0.5
+"""If the newest estimate is older, the stream has ended: none is valid. The daemon judges whether frames are fresh."""
 STATE_TIMEOUT_S = 2.0
 STATE_MAX_AGE_S = 0.2
 log = logging.getLogger(__name__)
@@ -168,9 +168,8 @@ class SlipguardRobot(Robot):
             self.arm.disconnect()
 
     def _on_estimates(self, message: bytearray) -> None:
-        rotation = json.loads(message)["rotation"]
-        if rotation:
-            self.estimates.append(rotation)
+        new = json.loads(message)
+        self.estimates.append(new["rotation"] or {"captured_at_s": new["at_s"], "rotation_deg": None})
 
     def _new_jaws(self) -> JawRequests:
         return JawRequests(self.config.stroke_mm, self.config.release_above, self.config.release_after_s)

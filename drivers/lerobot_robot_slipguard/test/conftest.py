@@ -1,4 +1,4 @@
-"""slipguard's daemons, and LeRobot in this process."""
+"""slipguard's daemon, and LeRobot in this process."""
 
 from __future__ import annotations
 
@@ -9,16 +9,9 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "slipguard_client" / "test"))
 
-from daemon_processes import Daemon, EmulatedCell
-
-
-@pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a short path, for sockets."""
-    return tmp_path_factory.mktemp("t")
+from daemon_processes import Daemon
 
 
 @pytest.fixture(scope="session")
@@ -30,15 +23,8 @@ def slipguard_python() -> str:
     return python
 
 
-@pytest.fixture(scope="module")
-def daemon(slipguard_python: str, folder: Path) -> Iterator[Daemon]:
-    """A daemon, calibrated, with an object between the open jaws."""
-    with Daemon(slipguard_python, folder / "daemon", mode="guard") as running:
-        yield running
-
-
 @pytest.fixture(scope="session")
-def cell(slipguard_python: str, folder: Path) -> Iterator[EmulatedCell]:
-    """An emulated cell and its daemon, calibrated, with an object between the open jaws."""
-    with EmulatedCell(slipguard_python, folder / "cell", mode="guard") as running:
+def daemon(slipguard_python: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon, calibrated, with an object between the open jaws."""
+    with Daemon(slipguard_python, tmp_path_factory.mktemp("t") / "daemon", mode="guard") as running:
         yield running

@@ -1,4 +1,4 @@
-"""The commands and programs of both README files: LeRobot parses the commands, the programs run on an emulated cell."""
+"""The commands and programs of both README files: LeRobot parses the commands, the programs run."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from typing import Any
 
 import draccus
 import pytest
-import scripted  # noqa: F401 - registers the arm
-from daemon_processes import EmulatedCell
+from daemon_processes import Daemon
 from lerobot.scripts.lerobot_record import RecordConfig
 from lerobot.utils.import_utils import register_third_party_plugins
 
 from lerobot_camera_slipguard import SlipguardCameraConfig
-from lerobot_robot_slipguard import SlipguardRobotConfig
 
 DRIVERS = Path(__file__).resolve().parents[2]
 PACKAGES = ("lerobot_camera_slipguard", "lerobot_robot_slipguard")
@@ -24,7 +22,7 @@ REST = (
     *("--teleop.port=/dev/ttyACM1", "--dataset.repo_id=me/gel", "--dataset.single_task=hold it"),
 )
 """What `...` at the end of a command stands for."""
-REAL_ARM, SCRIPTED_ARM = '{"type": "so101_follower", "port": "/dev/ttyACM0"}', '{"type": "scripted_arm"}'
+REAL_ARM, DEMO_ARM = '{"type": "so101_follower", "port": "/dev/ttyACM0"}', '{"type": "slipguard_demo_arm"}'
 
 
 def blocks(package: str, language: str) -> list[str]:
@@ -33,45 +31,28 @@ def blocks(package: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
 
 
-def commands(package: str) -> list[list[str]]:
-    """Return the arguments of each documented `lerobot-record`."""
-    lines = "".join(blocks(package, "sh")).replace("\\\n", " ").splitlines()
-    return [shlex.split(line)[1:] for line in lines if line.startswith("lerobot-record ")]
-
-
-def parse(words: list[str]) -> RecordConfig:
-    """Return the configuration that `lerobot-record` makes of its arguments. Raises draccus' errors."""
-    register_third_party_plugins()
-    return draccus.parse(RecordConfig, args=[*words[:-1], *REST] if words[-1] == "..." else words)
-
-
 @pytest.mark.parametrize("package", PACKAGES)
 def test_lerobot_record_accepts_the_documented_command(package: str) -> None:
-    (words,) = commands(package)
-    robot = parse(words).robot
+    lines = "".join(blocks(package, "sh")).replace("\\\n", " ").splitlines()
+    (words,) = (shlex.split(line)[1:] for line in lines if line.startswith("lerobot-record "))
+    register_third_party_plugins()
+    robot = draccus.parse(RecordConfig, args=[*words[:-1], *REST] if words[-1] == "..." else words).robot
     cameras: dict[str, Any] = robot.cameras
     assert all(isinstance(camera, SlipguardCameraConfig) for camera in cameras.values())
     if package == PACKAGES[1]:
-        assert isinstance(robot, SlipguardRobotConfig)
-        assert robot.arm_config().port == "/dev/ttyACM0"
-
-
-def test_a_wrong_option_is_detected() -> None:
-    (words,) = commands(PACKAGES[1])
-    with pytest.raises((SystemExit, Exception)):
-        parse([*words, "--robot.grippr=jaws"])
+        assert (robot.type, robot.arm_config().port) == ("slipguard", "/dev/ttyACM0")
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_the_documented_program_runs(
-    package: str, cell: EmulatedCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    package: str, daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the name of a socket, as documented: it is that of this user's daemon."""
-    (tmp_path / "slipguard").symlink_to(cell.folder)
+    (tmp_path / "slipguard").symlink_to(daemon.folder)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     (program,) = blocks(package, "python")
     names: dict[str, Any] = {}
-    exec(compile(program.replace(REAL_ARM, SCRIPTED_ARM), f"{package}/README.md", "exec"), names)
+    exec(compile(program.replace(REAL_ARM, DEMO_ARM), f"{package}/README.md", "exec"), names)
     if package == PACKAGES[0]:
         assert all(names[image].shape == (320, 240, 3) for image in ("image", "newest"))
     else:

@@ -6,89 +6,75 @@ import math
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
-from rclpy.executors import SingleThreadedExecutor
 from slipguard_demo import EmulatedCell, plot, wait_until
 from std_srvs.srv import SetBool
 
 from slipguard_ros.interfaces import call
 
+ROTATION, FORCE = "rotation [deg]", "grip force [N]"
 LIFT_TIMEOUT_S = 60.0
 AFTER_S = 1.0
 
 
-class Listener:
-    """Receives rotation and grip force. rotations, forces: time of capture in seconds, and degrees or newtons."""
+class Demo:
+    """A node that calls the services and receives rotation and force. curves: times of capture and values."""
 
-    def __init__(self) -> None:
-        self.node = rclpy.create_node("slipguard_demo")
-        self.rotations: list[tuple[float, float]] = []
-        self.forces: list[tuple[float, float]] = []
+    def __init__(self, cell: EmulatedCell) -> None:
+        self.cell, self.node = cell, rclpy.create_node("slipguard_demo")
+        self.curves: dict[str, list[tuple[float, float]]] = {}
         self.node.create_subscription(PoseWithCovarianceStamped, "/slipguard/rotation", self._on_rotation, 10)
         self.node.create_subscription(WrenchStamped, "/slipguard/grip_force", self._on_force, 10)
-        executor = SingleThreadedExecutor()
-        executor.add_node(self.node)
-        threading.Thread(target=executor.spin, daemon=True).start()
+
+    def episode(self, guarded: bool) -> dict[str, list[tuple[float, float]]]:
+        """Grasp and lift the object; return rotation and force by time of capture."""
+        self._request("grasp")
+        self.curves = {ROTATION: [], FORCE: []}
+        self._wait_for("holding")
+        self._request("guard", SetBool.Request(data=guarded))
+        self._request("lift")
+        self._wait_for("lifting", "fault")
+        self._wait_for("holding", "fault")
+        until_s = time.monotonic() + AFTER_S
+        self._wait(lambda: time.monotonic() > until_s, "some time")
+        curves = self.curves
+        self.cell.release()
+        return {label: sorted(values) for label, values in curves.items()}
 
     def _on_rotation(self, message: PoseWithCovarianceStamped) -> None:
         orientation = message.pose.pose.orientation
-        rotation_deg = math.degrees(2.0 * math.atan2(orientation.z, orientation.w))
-        self.rotations.append((_time_s(message), rotation_deg))
+        self._add(ROTATION, message, math.degrees(2.0 * math.atan2(orientation.z, orientation.w)))
 
     def _on_force(self, message: WrenchStamped) -> None:
-        self.forces.append((_time_s(message), message.wrench.force.z))
+        self._add(FORCE, message, message.wrench.force.z)
 
-    def start(self) -> None:
-        """Forget what was received."""
-        self.rotations, self.forces = [], []
+    def _add(self, label: str, message: Any, value: float) -> None:
+        stamp = message.header.stamp
+        self.curves.setdefault(label, []).append((stamp.sec % 86400 + 1e-9 * stamp.nanosec, value))
 
-    def curves(self) -> dict[str, list[tuple[float, float]]]:
-        """Return what was received since `start`, in seconds since the first rotation, by time of capture."""
-        wait_until(lambda: self.rotations, "an estimate")
-        zero_s = min(self.rotations)[0]
-        return {
-            label: [(at_s - zero_s, value) for at_s, value in sorted(values) if at_s >= zero_s]
-            for label, values in (("rotation [deg]", self.rotations), ("grip force [N]", self.forces))
-        }
+    def _request(self, service: str, request: Any = None) -> None:
+        """Call a service until it accepts: the node may not be active yet, the grip not firm yet."""
 
+        def accepted() -> bool:
+            response = call(self.node, service, request)
+            return response is not None and response.success
 
-def _time_s(message: Any) -> float:
-    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+        wait_until(accepted, f"/slipguard/{service} accepts the request")
 
+    def _wait_for(self, *phases: str) -> None:
+        self._wait(lambda: self.cell.state()["phase"] in phases, f"phase {' or '.join(phases)}")
 
-def lift(cell: EmulatedCell, listener: Listener, client: Any, guarded: bool) -> dict[str, list[tuple[float, float]]]:
-    """Grasp and lift the object; return the curves of this episode."""
-    _request(client, "grasp")
-    listener.start()
-    cell.wait_for("holding")
-    _request(client, "guard", SetBool.Request(data=guarded))
-    _request(client, "lift")
-    wait_until(lambda: cell.state()["phase"] in ("holding", "fault"), "the end of the lift", LIFT_TIMEOUT_S)
-    time.sleep(AFTER_S)
-    curves = listener.curves()
-    cell.release()
-    return curves
+    def _wait(self, reached: Any, what: str) -> None:
+        def spun() -> bool:
+            rclpy.spin_once(self.node, timeout_sec=0.02)
+            return bool(reached())
 
-
-def _request(client: Any, service: str, request: Any = None) -> None:
-    """Call a service until it accepts: the node may not be active yet, the grip not firm yet. Raises AssertionError."""
-    reasons: list[str] = []
-
-    def accepted() -> bool:
-        response = call(client, service, request)
-        reasons.append(f"no service {service}" if response is None else response.message)
-        return response is not None and response.success
-
-    try:
-        wait_until(accepted, service)
-    except AssertionError:
-        raise AssertionError(f"{service}: {reasons[-1] if reasons else 'no response'}") from None
+        wait_until(spun, what, LIFT_TIMEOUT_S)
 
 
 def main() -> int:
@@ -102,16 +88,14 @@ def main() -> int:
         command = [sys.executable, "-m", "slipguard_ros.node", "--ros-args", "-p", f"socket:={cell.socket}"]
         node = subprocess.Popen(command)
         try:
-            listener, client = Listener(), rclpy.create_node("slipguard_demo_client")
-            episodes = {}
-            for title, guarded in (("guarded", True), ("unguarded", False)):
-                curves = lift(cell, listener, client, guarded)
-                episodes[title] = curves
-                largest_deg = max(abs(value) for _, value in curves["rotation [deg]"])
-                print(f"{title}: {len(curves['rotation [deg]'])} estimates, rotation up to {largest_deg:.1f} deg")
+            demo = Demo(cell)
+            episodes = {title: demo.episode(title == "guarded") for title in ("guarded", "unguarded")}
         finally:
             node.terminate()
             node.wait(20.0)
+    for title, curves in episodes.items():
+        largest_deg = max(abs(value) for _, value in curves[ROTATION])
+        print(f"{title}: {len(curves[ROTATION])} estimates, rotation up to {largest_deg:.1f} deg")
     plot(episodes, path)
     print(f"plot: {path}")
     return 0
