@@ -107,16 +107,12 @@ class EmulatedCell:
             wait_until(lambda: self.state()["gripper"]["width_mm"] > OPEN_MM, "the jaws are open")
         self.place()
 
-    def order(self, line: str) -> None:
-        """Write a line to the emulator, such as `fault left.stall`."""
-        stdin = self._processes[0].stdin
-        assert stdin is not None
-        stdin.write(line + "\n")
-        stdin.flush()
-
     def place(self) -> None:
         """Place the object between the open jaws."""
-        self.order(f"place {self.placed}")
+        emulator = self._processes[0].stdin
+        assert emulator is not None
+        emulator.write(f"place {self.placed}\n")
+        emulator.flush()
 
     def start_processes(self) -> None:
         """Start the emulator, then the daemon."""

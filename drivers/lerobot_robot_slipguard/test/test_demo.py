@@ -8,15 +8,16 @@ from pathlib import Path
 
 import pytest
 import torch
+from daemon_processes import slipguard_python
 from lerobot.datasets import LeRobotDataset
 
 SLIP = [f"slip{index}.{name}" for index in ("", ".1", ".2", ".3") for name in ("valid", "rotation_deg", "sigma_deg")]
 
 
-def test_both_episodes_are_recorded_and_read(slipguard_python: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_both_episodes_are_recorded_and_read(tmp_path_factory: pytest.TempPathFactory) -> None:
     folder: Path = tmp_path_factory.mktemp("d") / "demo"
     program = folder.parent / "slipguard"
-    program.write_text(f'#!/bin/sh\nexec {slipguard_python} -m slipguard "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec {slipguard_python()} -m slipguard "$@"\n')
     program.chmod(0o700)
     command = [sys.executable, "-m", "lerobot_robot_slipguard.demo", str(program), str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=400.0, check=False)

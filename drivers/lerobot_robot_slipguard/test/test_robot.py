@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from daemon_processes import Daemon, wait_until
+from daemon_processes import Daemon, is_busy, wait_until
 from lerobot.robots import make_robot_from_config
 
 from lerobot_camera_slipguard import SlipguardCameraConfig
@@ -60,7 +59,10 @@ def test_features_match_what_is_returned(daemon: Daemon, robot: SlipguardRobot) 
     observation = robot.get_observation()
     assert set(observation) == set(robot.observation_features)
     assert observation["gel_left"].shape == robot.observation_features["gel_left"]
-    assert set(act(robot, OPEN)) == set(robot.action_features)
+    sent = act(robot, OPEN, height=120.0)
+    assert set(sent) == set(robot.action_features)
+    assert robot.arm.sent[-1] == {"height.pos": 120.0}, "the arm receives its part, and only that"
+    assert sent["height.pos"] == 90.0, "as the arm limited it"
     assert {"slip.valid", "slip.rotation_deg", "slip.3.age_ms", "grip.force_n"} < set(robot.observation_features)
     assert list(make(daemon).action_features) == ["height.pos", "gripper.pos"], "what a teleoperator gives"
 
@@ -87,8 +89,8 @@ def test_every_estimate_is_received_with_its_capture_time(daemon: Daemon, robot:
     wait_until(lambda: len(robot.estimates) == robot.estimates.maxlen, "estimates")
     captured_s = [one["captured_at_s"] for one in robot.estimates]
     rate_hz = (len(captured_s) - 1) / (captured_s[-1] - captured_s[0])
-    print(f"{rate_hz:.1f} estimates per second, load {os.getloadavg()[0]:.1f}")
-    assert rate_hz > 55.0 or os.getloadavg()[0] > (os.cpu_count() or 1)
+    print(f"{rate_hz:.1f} estimates per second")
+    assert rate_hz > 55.0 or is_busy()
     observation = robot.get_observation()
     assert [observation[f"slip.{index}valid"] for index in ("", "1.", "2.", "3.")] == [1.0] * 4
     ages_ms = [observation[f"slip.{index}age_ms"] for index in ("", "1.", "2.", "3.")]
@@ -117,18 +119,11 @@ def test_a_policy_that_commands_open_jaws_does_not_drop_what_another_client_grip
     daemon: Daemon, robot: SlipguardRobot
 ) -> None:
     act(robot, OPEN)
-    daemon.api.submit("grasp", {})
-    daemon.wait_for("holding")
+    daemon.grasp()
     ends_s = time.monotonic() + 1.0
     while time.monotonic() < ends_s:
         act(robot, OPEN)
     assert daemon.state()["phase"] == "holding"
-
-
-def test_the_arms_part_reaches_the_arm_and_only_that(robot: SlipguardRobot) -> None:
-    sent = act(robot, OPEN, height=120.0)
-    assert robot.arm.sent[-1] == {"height.pos": 120.0}
-    assert sent["height.pos"] == 90.0, "as the arm limited it"
 
 
 @pytest.mark.parametrize("wrong", [{"gripper.pos": math.nan}, {"gripper.pos": None}, {"height.pos": math.inf}])
@@ -188,8 +183,5 @@ def test_connecting_says_what_is_missing(daemon: Daemon) -> None:
     ):
         with pytest.raises(NotGuarding, match=hint):
             _check_guarding(daemon.state() | change, daemon.socket)
-
-
-def test_an_unknown_arm_is_refused() -> None:
     with pytest.raises(ValueError, match="nothing_like_it"):
         SlipguardRobotConfig(arm={"type": "nothing_like_it"}).arm_config()

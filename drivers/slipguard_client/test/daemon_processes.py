@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import time
 from pathlib import Path
 from typing import Any
 
-import slipguard_demo
-from slipguard_demo import OPEN_MM, wait_until
+import pytest
+from slipguard_demo import EmulatedCell, wait_until
 
-__all__ = ["OPEN_MM", "Daemon", "EmulatedCell", "wait_until"]
+__all__ = ["Daemon", "is_busy", "slipguard_python", "wait_until"]
 LIGHT_DAEMON = Path(__file__).resolve().parents[3] / "tests" / "wire" / "light_daemon.py"
 
 
-class EmulatedCell(slipguard_demo.EmulatedCell):
-    """An emulated cell on a busy machine. python: the interpreter of slipguard's environment."""
+def slipguard_python() -> str:
+    """Return the interpreter of slipguard's environment, from SLIPGUARD_PYTHON."""
+    python = os.environ.get("SLIPGUARD_PYTHON")
+    if python is None:
+        pytest.exit("set SLIPGUARD_PYTHON to the Python of slipguard's environment, such as .venv/bin/python", 2)
+    return python
 
-    def __init__(self, python: str, folder: Path, mode: str = "lift", placed: str = "wrench 0") -> None:
-        super().__init__([python, "-m", "slipguard"], folder, mode, placed, 20.0)
-        self.python, self.recordings = python, folder / "state" / "recordings"
 
-    def grasp(self, **fields: Any) -> dict[str, Any]:
-        """Grasp, and wait until the object is held; return the state."""
-        self.api.submit("grasp", fields)
-        return self.wait_for("holding")
+def is_busy() -> bool:
+    """Return whether this machine is too busy to judge rates and times."""
+    return os.getloadavg()[0] > (os.cpu_count() or 1)
 
 
 class Daemon(EmulatedCell):
@@ -34,6 +35,10 @@ class Daemon(EmulatedCell):
 
     def start_processes(self) -> None:
         mode = ["guard-mode"] if self.mode == "guard" else []
-        self.start_process(
-            "daemon", self.python, str(LIGHT_DAEMON), str(self.folder), str(self.folder / "state"), *mode
-        )
+        state = self.folder / "state"
+        self.start_process("daemon", *self.program, str(LIGHT_DAEMON), str(self.folder), str(state), *mode)
+
+    def grasp(self, **fields: Any) -> dict[str, Any]:
+        """Grasp, and wait until the object is held; return the state."""
+        self.api.submit("grasp", fields)
+        return self.wait_for("holding")

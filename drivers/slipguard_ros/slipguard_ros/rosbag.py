@@ -32,21 +32,13 @@ LOG_LEVELS = {2: 20, 3: 30, 4: 40}
 
 
 class BagWriter:
-    """Writes messages of the types above. storage: `sqlite3` (read by every version of ROS 2) or `mcap`."""
+    """Writes messages of the types above."""
 
-    def __init__(self, folder: Path, storage: str) -> None:
+    def __init__(self, writer: Writer) -> None:
         self._types = get_typestore(Stores.ROS2_HUMBLE)
-        plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-        self._writer = Writer(folder, version=VERSION, storage_plugin=plugin)
+        self._writer = writer
         self._connections: dict[str, Any] = {}
         self.written = 0
-
-    def __enter__(self) -> BagWriter:
-        self._writer.open()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._writer.close()
 
     def make(self, kind: str, **fields: Any) -> Any:
         """Return a message of a type such as `std_msgs/msg/Header`."""
@@ -66,7 +58,7 @@ class BagWriter:
         self.written += 1
 
 
-def convert(recording: Path, folder: Path, storage: str = "sqlite3") -> tuple[int, str | None]:
+def convert(recording: Path, folder: Path) -> tuple[int, str | None]:
     """Convert one recording to a new bag.
 
     Returns:
@@ -83,7 +75,8 @@ def convert(recording: Path, folder: Path, storage: str = "sqlite3") -> tuple[in
         first = next(messages, None)
         if first is None or first[0].topic != "/memory":
             raise ValueError(f"{recording} is not a recording of slipguard")
-        with BagWriter(folder, storage) as bag:
+        with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.SQLITE3) as writer:
+            bag = BagWriter(writer)
             try:
                 for channel, schema, message in itertools.chain((first,), messages):
                     if channel.message_encoding == "json":
@@ -162,10 +155,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="slipguard_to_rosbag", description="Convert a recording to a rosbag2.")
     parser.add_argument("recording", type=Path, help="an .mcap file of slipguard")
     parser.add_argument("bag", type=Path, help="the folder of the new bag")
-    parser.add_argument("--storage", choices=("sqlite3", "mcap"), default="sqlite3")
     given = parser.parse_args()
     try:
-        written, ended_early = convert(given.recording, given.bag, given.storage)
+        written, ended_early = convert(given.recording, given.bag)
     except (OSError, ValueError, McapError) as error:
         print(f"slipguard_to_rosbag: {error}", file=sys.stderr)
         return 1

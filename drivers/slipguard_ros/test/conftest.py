@@ -12,31 +12,16 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "slipguard_client" / "test"))
 
 import pytest
-from daemon_processes import Daemon
+from daemon_processes import Daemon, slipguard_python
 from ros_client import NodeProcess, RosClient
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder for sockets and logs, with a short path."""
-    made = tmp_path_factory.mktemp("ros")
-    os.environ["ROS_LOG_DIR"] = str(made / "ros_log")
-    return made
-
-
-@pytest.fixture(scope="session")
-def slipguard_python() -> str:
-    """Return the interpreter of slipguard's environment, from SLIPGUARD_PYTHON."""
-    python = os.environ.get("SLIPGUARD_PYTHON")
-    if python is None:
-        pytest.exit("set SLIPGUARD_PYTHON to the Python of slipguard's environment, such as .venv/bin/python", 2)
-    return python
-
-
-@pytest.fixture(scope="session")
-def daemon(folder: Path, slipguard_python: str) -> Iterator[Daemon]:
-    """A daemon, calibrated."""
-    with Daemon(slipguard_python, folder / "daemon") as running:
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """A daemon, calibrated, in a folder with a short path."""
+    folder = tmp_path_factory.mktemp("ros")
+    os.environ["ROS_LOG_DIR"] = str(folder / "ros_log")
+    with Daemon([slipguard_python()], folder / "daemon") as running:
         yield running
 
 

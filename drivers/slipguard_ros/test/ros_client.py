@@ -15,7 +15,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
-from lifecycle_msgs.srv import ChangeState, GetState
+from lifecycle_msgs.srv import ChangeState
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
@@ -49,27 +49,14 @@ class NodeProcess:
         words += [word for one in (f"socket:={socket_path}", *parameters) for word in ("-p", one)]
         program = ["-m", "slipguard_ros.node"] if typed else ["-c", WITHOUT_INTERFACES]
         self._command = [sys.executable, *program, "--ros-args", *words]
-        self._process: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> NodeProcess:
-        self.start()
+        self._process = subprocess.Popen(self._command)
         return self
 
     def __exit__(self, *_: object) -> None:
-        assert self._process is not None
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)  # as ros2 launch does
+        self._process.send_signal(signal.SIGINT)  # as ros2 launch does
         assert self._process.wait(20.0) == 0, "the node did not end cleanly"
-
-    def start(self) -> None:
-        """Start it; does not wait."""
-        self._process = subprocess.Popen(self._command)
-
-    def kill(self) -> None:
-        """End it at once."""
-        assert self._process is not None
-        self._process.kill()
-        self._process.wait(20.0)
 
 
 class RosClient:
@@ -113,7 +100,7 @@ class RosClient:
 
     def call(self, name: str, **fields: Any) -> Any:
         """Call a service of the node; return its response."""
-        kind = {"change_state": ChangeState, "get_state": GetState, **SERVICES}[name]
+        kind = {"change_state": ChangeState, **SERVICES}[name]
         client = self.node.create_client(kind, f"/slipguard/{name}")
         try:
             assert client.wait_for_service(30.0), f"no service {name}"
@@ -126,10 +113,6 @@ class RosClient:
         request = ChangeState.Request()
         request.transition.id = number
         return bool(self.call("change_state", transition=request.transition).success)
-
-    def lifecycle(self) -> str:
-        """Return the lifecycle state of the node."""
-        return str(self.call("get_state").current_state.label)
 
 
 class Goals:

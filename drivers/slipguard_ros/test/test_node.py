@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import statistics
 import subprocess
 import sys
 import time
 
 import pytest
-from daemon_processes import Daemon, wait_until
+from daemon_processes import Daemon, is_busy, wait_until
 from lifecycle_msgs.msg import Transition
 from ros_client import TOPICS, NodeProcess, RosClient
 from std_msgs.msg import String
@@ -36,52 +35,40 @@ def wait_for_node(ros: RosClient) -> None:
     wait_until(lambda: JOINTS in ros.received, "the node is active")
 
 
-def is_busy() -> bool:
-    return os.getloadavg()[0] > (os.cpu_count() or 1)
-
-
 def test_lifecycle(daemon: Daemon, ros: RosClient) -> None:
     with NodeProcess(daemon.socket, "autostart:=false"):
-        assert ros.lifecycle() == "unconfigured"
-        assert ros.transition(Transition.TRANSITION_CONFIGURE)
-        assert ros.lifecycle() == "inactive"
-        refused = ros.call("grasp")
-        assert (refused.success, refused.message) == (False, "the node is not active; activate it")
-        time.sleep(0.5)
-        assert not ros.received, "an inactive node publishes nothing"
         for _ in range(2):
+            assert ros.transition(Transition.TRANSITION_CONFIGURE)
+            refused = ros.call("grasp")
+            assert (refused.success, refused.message) == (False, "the node is not active; activate it")
             assert ros.transition(Transition.TRANSITION_ACTIVATE)
-            wait_until(lambda: {STATE, JOINTS, DIAGNOSTICS, *IMAGES.values()} <= set(ros.received), "all topics")
+            wait_until(lambda: {STATE, SLIP, DIAGNOSTICS, *IMAGES.values()} <= set(ros.received), "all topics")
             assert ros.transition(Transition.TRANSITION_DEACTIVATE)
             time.sleep(0.3)
             ros.received.clear()
             time.sleep(0.5)
-            assert not ros.received, "a deactivated node publishes nothing"
-        assert ros.transition(Transition.TRANSITION_CLEANUP)
-        assert ros.transition(Transition.TRANSITION_CONFIGURE), "and again"
-        assert ros.transition(Transition.TRANSITION_INACTIVE_SHUTDOWN)
-        assert ros.lifecycle() == "finalized"
+            assert not ros.received, "an inactive node publishes nothing"
+            assert ros.transition(Transition.TRANSITION_CLEANUP)
+        assert ros.transition(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
 
 
 def test_rate_and_age_of_every_topic(daemon: Daemon, node: NodeProcess, ros: RosClient) -> None:
     daemon.grasp()
     wait_until(lambda: set(TOPICS) <= set(ros.received), "all topics")
-    for _ in range(3):  # another program may disturb a measurement
-        ros.received.clear()
-        time.sleep(MEASURE_S)
-        received, wrong = {topic: list(messages) for topic, messages in ros.received.items()}, []
-        for topic, (low_hz, high_hz, old_s) in LIMITS.items():
-            messages = received.get(topic, [])
-            rate_hz, age_s = len(messages) / MEASURE_S, statistics.median([one[1] for one in messages] or [math.inf])
-            print(f"{topic}: {rate_hz:.1f} Hz, age {1e3 * age_s:.1f} ms")
-            wrong += [] if low_hz < rate_hz < high_hz and age_s <= old_s else [topic]
-        numbers = [one[2].number for one in received[SLIP]]
-        if not wrong:
-            assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "none was lost"
-            return
-    if not is_busy():
-        pytest.fail(f"limits {[(topic, LIMITS[topic]) for topic in wrong]}")
-    print(f"NOT JUDGED: {wrong}; this machine is too busy")
+    ros.received.clear()
+    time.sleep(MEASURE_S)
+    received, wrong = {topic: list(messages) for topic, messages in ros.received.items()}, []
+    for topic, (low_hz, high_hz, old_s) in LIMITS.items():
+        messages = received.get(topic, [])
+        rate_hz, age_s = len(messages) / MEASURE_S, statistics.median([one[1] for one in messages] or [math.inf])
+        print(f"{topic}: {rate_hz:.1f} Hz, age {1e3 * age_s:.1f} ms")
+        wrong += [] if low_hz < rate_hz < high_hz and age_s <= old_s else [topic]
+    if is_busy():
+        print(f"NOT JUDGED: {wrong}; this machine is too busy")
+        return
+    assert not wrong, [LIMITS[topic] for topic in wrong]
+    numbers = [one[2].number for one in received[SLIP]]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), "none was lost"
 
 
 def test_contents_of_every_topic(daemon: Daemon, node: NodeProcess, ros: RosClient) -> None:
@@ -178,18 +165,6 @@ def test_slipguard_call_calls_a_service(daemon: Daemon, node: NodeProcess, ros: 
     for words in (["grip"], ["grasp", "force=50"], ["grasp", "force:=hard"], ["guard", "data:=1"]):
         done = call(*words)
         assert (done.returncode, "Traceback" in done.stderr, done.stdout) == (2, False, "")
-
-
-def test_node_killed_during_a_hold(daemon: Daemon, node: NodeProcess, ros: RosClient) -> None:
-    daemon.grasp()
-    for _ in range(2):
-        node.kill()
-        assert daemon.state()["phase"] == "holding"
-        ros.received.clear()
-        node.start()
-        wait_until(lambda: set(TOPICS) <= set(ros.received), "all topics are back")
-    state = daemon.state()
-    assert (state["phase"], state["fault"]) == ("holding", None)
 
 
 def test_daemon_restarted_while_the_node_runs(daemon: Daemon, node: NodeProcess, ros: RosClient) -> None:
