@@ -10,7 +10,8 @@ from pathlib import Path
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.errors import DeviceLost
 from slipguard_drivers.digit.discovery import DEV, SYSFS, DigitDevice, connected_digits, find_digit
-from slipguard_drivers.digit.stream_setup import DigitSettings
+from slipguard_drivers.digit.stream_setup import DigitSettings, stream_bytes_s
+from slipguard_drivers.digit.usb_bandwidth import BUS_BYTES, cameras_on_bus, reserved_bytes
 
 RULES = "60-slipguard.rules"
 RULES_FOLDERS = tuple(Path(folder) for folder in ("/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d"))
@@ -37,7 +38,9 @@ def check_digit(
         yield note("LEDs", f"{firmware} has one brightness for all", "give the three levels of led_rgb the same value")
     yield check_access(device.path)
     yield check_udev_rules(rules_folders)
-    yield check_shared_bus(device, connected_digits(sysfs, dev), settings.fps)
+    yield check_bandwidth(
+        device, connected_digits(sysfs, dev), settings, sysfs.parent.parent / "bus" / "usb" / "devices"
+    )
 
 
 def check_link(device: DigitDevice, firmware: str) -> CheckResult:
@@ -76,13 +79,29 @@ def check_udev_rules(folders: tuple[Path, ...]) -> CheckResult:
     )
 
 
-def check_shared_bus(device: DigitDevice, connected: list[DigitDevice], fps: int) -> CheckResult:
-    """Check whether other sensors share the bandwidth of the USB bus."""
-    others = [other.serial for other in connected if other.bus == device.bus and other.serial != device.serial]
-    if others and fps > 30:
-        return note(
-            "USB bus",
-            f"shared with {', '.join(others)}",
-            "if frames are lost, use ports of different USB controllers",
+def check_bandwidth(
+    device: DigitDevice, connected: list[DigitDevice], settings: DigitSettings, devices: Path
+) -> CheckResult:
+    """Add up what the cameras on the sensor's USB bus reserve; a DIGIT is taken to have this one's mode.
+
+    devices: /sys/bus/usb/devices. Another camera counts with what it reserves now, or with its largest size.
+    """
+    digits = {other.port: other.serial for other in connected}
+    cameras = list(cameras_on_bus(devices, device.bus))
+    others = [digits.get(port, f"a camera at port {port}") for port, _, _ in cameras if port != device.port]
+    others = others or [other.serial for other in connected if other.bus == device.bus and other.port != device.port]
+    shared = f"shared with {', '.join(others)}" if others else "not shared with another camera"
+
+    def total(fps: int) -> int:
+        needed_bytes_s = stream_bytes_s("MJPG" if settings.pixels == "MJPG" else "YUYV", fps)
+        return sum(
+            reserved_bytes(sizes, needed_bytes_s) if port in digits else sizes.get(present, max(sizes.values()))
+            for port, sizes, present in cameras
         )
-    return ok("USB bus", f"shared with {', '.join(others)}" if others else "not shared with another DIGIT")
+
+    needed = total(settings.fps)
+    observed = f"{shared}; its cameras reserve {needed / BUS_BYTES:.0%} of what it can carry" if cameras else shared
+    if needed <= BUS_BYTES:
+        return ok("USB bus", observed)
+    modes = 'pixels = "MJPG" or fps = 30' if settings.fps > 30 and total(30) <= BUS_BYTES else 'pixels = "MJPG"'
+    return problem("USB bus", observed, f"use a port of another USB controller for one of them, or set {modes}")

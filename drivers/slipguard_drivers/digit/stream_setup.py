@@ -14,6 +14,9 @@ from slipguard_drivers.digit.decoding import WIRE_HEIGHT_PX, WIRE_WIDTH_PX
 from slipguard_drivers.digit.discovery import DigitDevice, connected_digits
 from slipguard_drivers.digit.v4l2 import ZOOM_ABSOLUTE
 
+PIXELS = ("YUYV", "MJPG")
+MJPG_SHARE = 0.2
+"""Size of a compressed image; the camera decides it."""
 Level = Annotated[int, Field(ge=0, le=15)]
 LedLevels = tuple[Level, Level, Level]
 StartedStream = tuple[DigitDevice, V4l2Capture, VideoMode, tuple[str, ...]]
@@ -52,28 +55,56 @@ def start_digit(
 ) -> StartedStream:
     """Find a sensor and start its stream. Raises DeviceLost."""
     device = find(settings.serial, name)
-    try:
-        capture = open_capture(str(device.path))
-    except OSError as error:
-        raise DeviceLost(f"{name}: {device.path} cannot be opened: {reason(error)}") from error
-    try:
-        mode = capture.configure(choose_mode(capture.modes(WIRE_WIDTH_PX, WIRE_HEIGHT_PX), settings, capture))
-        remarks = [*_rate_remark(mode, settings.fps), *set_leds(capture, device, settings.led_rgb)]
-        capture.start()
-    except OSError as error:
-        capture.close()
-        why = _no_bandwidth(device, settings) if error.errno == errno.ENOSPC else reason(error)
-        raise DeviceLost(f"{name}: {device.path} does not start: {why}") from error
+    refused: VideoMode | None = None
+    while True:
+        try:
+            capture = open_capture(str(device.path))
+        except OSError as error:
+            raise DeviceLost(f"{name}: {device.path} cannot be opened: {reason(error)}") from error
+        try:
+            offered = capture.modes(WIRE_WIDTH_PX, WIRE_HEIGHT_PX)
+            mode = capture.configure(choose_mode(offered, settings, capture, refused))
+            remarks = [*_rate_remark(mode, settings.fps), *set_leds(capture, device, settings.led_rgb)]
+            capture.start()
+        except OSError as error:
+            capture.close()
+            if error.errno != errno.ENOSPC:
+                raise DeviceLost(f"{name}: {device.path} does not start: {reason(error)}") from error
+            if not any(_needs_less(other, mode) for other in usable_modes(offered, settings)):
+                why = _no_bandwidth(device, settings)
+                raise DeviceLost(f"{name}: {device.path} does not start: {why}") from error
+            refused = mode
+        else:
+            break
+    if refused is not None:
+        remarks.insert(0, f"USB bus {device.bus} has not enough bandwidth for {refused}; {mode} is used")
     return device, capture, mode, tuple(remarks)
 
 
-def choose_mode(modes: list[VideoMode], settings: DigitSettings, capture: V4l2Capture) -> VideoMode:
+def stream_bytes_s(pixels: str, fps: float) -> float:
+    """Return the bytes per second of a stream; a compressed image has about a fifth of the bytes."""
+    return WIRE_WIDTH_PX * WIRE_HEIGHT_PX * 2 * fps * (MJPG_SHARE if pixels == "MJPG" else 1.0)
+
+
+def usable_modes(modes: list[VideoMode], settings: DigitSettings) -> list[VideoMode]:
+    """Return the modes with pixels as configured."""
+    wanted = PIXELS if settings.pixels == "auto" else (settings.pixels,)
+    return [mode for mode in modes if mode.pixels in wanted]
+
+
+def _needs_less(mode: VideoMode, other: VideoMode) -> bool:
+    return stream_bytes_s(mode.pixels, mode.fps) < stream_bytes_s(other.pixels, other.fps)
+
+
+def choose_mode(
+    modes: list[VideoMode], settings: DigitSettings, capture: V4l2Capture, refused: VideoMode | None = None
+) -> VideoMode:
     """Return the mode to request: the nearest rate first, then YUYV, which needs no decoding.
 
-    Raises OSError EINVAL if no mode is usable.
+    refused: the USB bus has not enough bandwidth for this mode. Raises OSError EINVAL if no mode is usable.
     """
-    wanted = ("YUYV", "MJPG") if settings.pixels == "auto" else (settings.pixels,)
-    usable = [mode for mode in modes if mode.pixels in wanted]
+    wanted = PIXELS if settings.pixels == "auto" else (settings.pixels,)
+    usable = [mode for mode in usable_modes(modes, settings) if refused is None or _needs_less(mode, refused)]
     if not usable:
         offers = ", ".join(map(str, capture.modes())) or "no modes"
         raise OSError(

@@ -127,6 +127,25 @@ async def test_missing_bus_bandwidth_is_reported_with_an_action(camera: type[Pip
 
 
 @pytest.mark.parametrize(
+    ("refused", "chosen"), [({("YUYV", 60)}, ("MJPG", 60)), ({("YUYV", 60), ("MJPG", 60)}, ("MJPG", 30))]
+)
+async def test_with_little_bus_bandwidth_a_smaller_mode_is_used_and_remarked(
+    camera: type[PipeCapture], refused: set[tuple[str, float]], chosen: tuple[str, float]
+) -> None:
+    def start(self: PipeCapture) -> None:
+        if (self.mode.pixels, self.mode.fps) in refused:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    camera.offers = [VideoMode(pixels, 320, 240, fps) for fps in (60.0, 30.0) for pixels in ("YUYV", "MJPG")]
+    camera.start = start  # type: ignore[method-assign]
+    sensor = digit()
+    await sensor.open()
+    assert (sensor.mode.pixels, sensor.mode.fps) == chosen
+    assert "has not enough bandwidth for" in sensor.remarks[0]
+    await sensor.close()
+
+
+@pytest.mark.parametrize(
     ("offers", "settings", "chosen"),
     [
         ([("YUYV", 60), ("MJPG", 60)], {}, ("YUYV", 60)),
