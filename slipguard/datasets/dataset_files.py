@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.datasets.samples import render_sample, unit_blocks
+from slipguard.datasets.samples import render_samples, unit_blocks
 from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX
 from slipguard.errors import InputError
 from slipguard.sim.contact_label import LABEL_NAME, label
@@ -173,8 +173,7 @@ def _rendered(
     block: range, split: str, backgrounds: Sequence[Image] | None
 ) -> list[tuple[dict[str, Any], Image, Files]]:
     out = []
-    for seed in block:
-        rendered = render_sample(seed, backgrounds, split)
+    for seed, rendered in zip(block, render_samples(block, backgrounds, split), strict=True):
         pose = asdict(rendered.view)
         source = {"seed": seed, "split": split, "object": pose.pop("object_name"), "label": LABEL_NAME}
         del pose["effects"]  # training frames have none

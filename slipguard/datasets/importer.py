@@ -17,7 +17,6 @@ from slipguard.datasets.dataset_files import (
     MANIFEST_NAME,
     MASKS,
     DataSetWriter,
-    Files,
     Image,
     check_new,
     png,
@@ -125,31 +124,28 @@ def import_dataset(
                     raise InputError(f"{result.rstrip('.')}. Use --skip to leave such files out.")
                 left_out.append(result)
                 continue
-            files = result.files if under is None else result.files | {BACKGROUNDS: under}
-            writer.add({"source": pair.name, "split": "imported", "label": IMPORTED_LABEL}, result.mask, files)
-            rotated += result.rotated
-            stretched += result.stretched
+            image, mask, is_rotated, is_stretched = result
+            line = {"source": pair.name, "split": "imported", "label": IMPORTED_LABEL}
+            writer.add(line, mask, {IMAGES: image} if under is None else {IMAGES: image, BACKGROUNDS: under})
+            rotated += is_rotated
+            stretched += is_stretched
     if writer.written == 0:
         raise InputError(f"{source}: none of {len(pairs)} pairs is usable; the first: {left_out[0]}")
     return ImportResult(writer.written, rotated, stretched, tuple(left_out))
 
 
-@dataclass(frozen=True, slots=True)
-class _ConvertedPair:
-    files: Files
-    mask: Image
-    rotated: bool
-    stretched: bool
+_Converted = tuple[bytes, Image, bool, bool]
+"""The image as PNG, the mask (0 or 1), whether the image was rotated, and whether it was stretched."""
 
 
-def _convert(pair: ImagePair) -> _ConvertedPair | str:
+def _convert(pair: ImagePair) -> _Converted | str:
     try:
         return _frame(pair)
     except (InputError, OSError) as error:
         return str(error)
 
 
-def _frame(pair: ImagePair) -> _ConvertedPair:
+def _frame(pair: ImagePair) -> _Converted:
     image, mask = read_image(pair.image), _read_mask(pair.mask)
     if abs(mask.shape[0] * image.shape[1] / (mask.shape[1] * image.shape[0]) - 1.0) > SHAPE_TOLERANCE:
         sizes = f"{mask.shape[1]}x{mask.shape[0]}, its image {image.shape[1]}x{image.shape[0]}"
@@ -161,9 +157,7 @@ def _frame(pair: ImagePair) -> _ConvertedPair:
     method = cv2.INTER_AREA if image.shape[0] >= FRAME_HEIGHT_PX else cv2.INTER_LINEAR
     fitted = np.asarray(cv2.resize(image, _SIZE, interpolation=method), np.uint8)
     contact = cv2.resize(mask * np.uint8(255), _SIZE, interpolation=cv2.INTER_LINEAR) > 127
-    return _ConvertedPair(
-        {IMAGES: png(fitted)}, contact.astype(np.uint8), landscape, abs(stretch - 1.0) > SHAPE_TOLERANCE
-    )
+    return png(fitted), contact.astype(np.uint8), landscape, abs(stretch - 1.0) > SHAPE_TOLERANCE
 
 
 def _read_mask(path: Path) -> Image:

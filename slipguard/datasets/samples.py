@@ -6,9 +6,8 @@ The ranges cover the known variation of real units and more; a frame depends on 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import cv2
@@ -21,7 +20,7 @@ from slipguard.sim.contact_label import VISIBLE_MM
 from slipguard.sim.gel_camera import GelCamera, GelTruth
 from slipguard.sim.gel_view import GelView
 from slipguard.sim.height_raster import HeightRaster, height_raster_of
-from slipguard.sim.raster import Field, blurred
+from slipguard.sim.raster import blurred
 from slipguard.sim.sensor_unit import LightChange, random_unit
 
 Image = NDArray[np.uint8]
@@ -35,6 +34,7 @@ BROAD_NAME = "broad"
 DEPTH_MM = {BROAD_NAME: (0.25, 2.0)}
 """Lightest and deepest press; a broad body is pressed deeper before it fills the image."""
 USUAL_DEPTH_MM = (0.12, 1.5)
+EXPOSURE_S = (0.004, 0.016)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,99 +61,89 @@ def unit_blocks(first_seed: int, count: int) -> list[range]:
     return [range(*edge) for edge in pairwise(edges)]
 
 
-def render_sample(seed: int, backgrounds: Sequence[Image] | None = None, split: str = "train") -> RenderedSample:
-    """Return the frame of a seed (>= 0). About 15 % show no contact.
-
-    Consecutive seeds are fast because they share a unit; pass the same list of backgrounds each time.
+def render_samples(
+    seeds: range, backgrounds: Sequence[Image] | None = None, split: str = "train"
+) -> Iterator[RenderedSample]:
+    """Yield the frames of seeds (>= 0). About 15 % show no contact.
 
     Args:
         backgrounds: real background images, (320, 240, 3) uint8, used for half of the units.
         split: "test" for the test objects; "train" for training objects, random compositions and broad bodies.
     """
-    rng = np.random.default_rng([seed, 1 if split == "test" else 0])
-    camera = _camera(seed // UNIT_FRAMES, _BackgroundList(backgrounds))
-    camera.reseed(int(rng.integers(2**31)))
-    camera.set_light(_light(rng))
-    name, raster = _surface(rng, split)
-    view = _view(rng, name)
-    truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), raster)
-    background = camera.no_contact()
-    if rng.random() < 0.5:
-        background = _shifted(background, rng)
-    return _finished(rng, truth, background, view)
+    for block in unit_blocks(seeds.start, len(seeds)):
+        camera = _camera(block, backgrounds)
+        for seed in block:
+            rng = np.random.default_rng([seed, 1 if split == "test" else 0])
+            camera.reseed(int(rng.integers(2**31)))
+            camera.set_light(_light(rng))
+            name, raster = _surface(rng, split)
+            view = _view(rng, name)
+            truth = camera.draw_with_truth(view, float(rng.uniform(*EXPOSURE_S)), raster)
+            background = camera.no_contact()
+            if rng.random() < 0.5:
+                background = _shifted(background, rng)
+            yield _finished(rng, truth, background, view)
 
 
-def press_of(name: str, seed: int) -> RenderedSample:
-    """Return the frame of a seed (>= 0) that shows a given training object, always with visible contact.
+def render_presses(names: Sequence[str], seeds: range) -> Iterator[RenderedSample]:
+    """Yield the frames of seeds (>= 0) that show the given training objects in turn, always with visible contact.
 
-    Sizes, textures, poses, light and wear vary as in `render_sample`. Raises InputError for an unknown object.
+    Sizes, textures, poses, light and wear vary as in `render_samples`. Raises InputError for an unknown object.
     """
-    rng = np.random.default_rng([seed, 2])
-    camera = _camera(seed // UNIT_FRAMES, _BackgroundList(None))
-    camera.reseed(int(rng.integers(2**31)))
-    camera.set_light(_light(rng))
-    raster = resized(height_raster_of(name), float(rng.uniform(0.75, 1.3)))
-    if rng.random() < 0.5:
-        raster = roughened(raster, rng, float(rng.uniform(0.010, 0.080)))
-    while True:
-        view = _press(rng, name)
-        truth = camera.draw_with_truth(view, float(rng.uniform(0.004, 0.016)), raster)
-        if truth.displacement_mm.max() > VISIBLE_MM:
-            return _finished(rng, truth, camera.no_contact(), view)
+    for block in unit_blocks(seeds.start, len(seeds)):
+        camera = _camera(block, None)
+        for seed in block:
+            rng = np.random.default_rng([seed, 2])
+            camera.reseed(int(rng.integers(2**31)))
+            camera.set_light(_light(rng))
+            name = names[seed % len(names)]
+            raster = _sometimes_rough(_any_size(height_raster_of(name), rng), rng)
+            while True:
+                view = _press(rng, name)
+                truth = camera.draw_with_truth(view, float(rng.uniform(*EXPOSURE_S)), raster)
+                if truth.displacement_mm.max() > VISIBLE_MM:
+                    break
+            yield _finished(rng, truth, camera.no_contact(), view)
 
 
-@dataclass(frozen=True, slots=True)
-class _BackgroundList:
-    """A list of images as a cache key, equal only to itself: comparing pixels would take longer than rendering."""
-
-    images: Sequence[Image] | None
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _BackgroundList) and self.images is other.images
-
-    def __hash__(self) -> int:
-        return id(self.images)
+def _camera(block: range, backgrounds: Sequence[Image] | None) -> GelCamera:
+    number = block.start // UNIT_FRAMES
+    return GelCamera(random_unit(np.random.default_rng([number, 240, 320]), backgrounds), seed=number)
 
 
-@lru_cache(maxsize=4)
-def _camera(block: int, pool: _BackgroundList) -> GelCamera:
-    rng = np.random.default_rng([block, 240, 320])
-    return GelCamera(random_unit(rng, pool.images), seed=block)
+def _any_size(raster: HeightRaster, rng: np.random.Generator) -> HeightRaster:
+    return resized(raster, float(rng.uniform(0.75, 1.3)))
+
+
+def _sometimes_rough(raster: HeightRaster, rng: np.random.Generator) -> HeightRaster:
+    return roughened(raster, rng, float(rng.uniform(0.010, 0.080))) if rng.random() < 0.5 else raster
 
 
 def _light(rng: np.random.Generator) -> LightChange:
     """Return a random change of the light against the background image: up to 6 gray levels, uneven."""
     if rng.random() < 0.2:
         return LightChange()
-    common = rng.uniform(-4.0, 4.0)
-    offset, right, up = (
-        np.clip(common + rng.normal(0.0, 2.0, 3), -6.0, 6.0),
-        rng.normal(0, 1.5, 3),
-        rng.normal(0, 1.5, 3),
-    )
-    return LightChange(
-        float(rng.uniform(0.95, 1.05)),
-        (float(offset[0]), float(offset[1]), float(offset[2])),
-        (float(right[0]), float(right[1]), float(right[2])),
-        (float(up[0]), float(up[1]), float(up[2])),
-    )
+    offset = np.clip(rng.uniform(-4.0, 4.0) + rng.normal(0.0, 2.0, 3), -6.0, 6.0)
+    right, up = rng.normal(0, 1.5, 3), rng.normal(0, 1.5, 3)
+    return LightChange(float(rng.uniform(0.95, 1.05)), _bgr(offset), _bgr(right), _bgr(up))
+
+
+def _bgr(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])
 
 
 def _surface(rng: np.random.Generator, split: str) -> tuple[str, HeightRaster]:
     if split == "train" and rng.random() < BROAD_SHARE:
-        body = broad(rng)
-        return BROAD_NAME, roughened(body, rng, float(rng.uniform(0.010, 0.080))) if rng.random() < 0.5 else body
+        return BROAD_NAME, _sometimes_rough(broad(rng), rng)
     names = object_names(split)
     name = names[int(rng.integers(len(names)))]
     composed = split == "train" and rng.random() < COMPOSITION_SHARE
     raster = composition(rng) if composed else height_raster_of(name)
     if split == "train":
-        raster = resized(raster, float(rng.uniform(0.75, 1.3)))
+        raster = _any_size(raster, rng)
         if rng.random() < 0.12:
             raster = with_neighbor(raster, height_raster_of(names[int(rng.integers(len(names)))]), rng)
-    if rng.random() < 0.5:
-        raster = roughened(raster, rng, float(rng.uniform(0.010, 0.080)))
-    return (COMPOSITION_NAME if composed else name), raster
+    return (COMPOSITION_NAME if composed else name), _sometimes_rough(raster, rng)
 
 
 def _view(rng: np.random.Generator, name: str) -> GelView:
@@ -187,9 +177,9 @@ def _finished(rng: np.random.Generator, truth: GelTruth, background: Image, view
         image, background = _worn(rng, image, background)
     if rng.random() < 0.4:
         contrast, brightness = float(rng.uniform(0.75, 1.2)), float(rng.uniform(-12.0, 12.0))
-        image = np.asarray(cv2.convertScaleAbs(np.maximum(image, 14), alpha=contrast, beta=brightness), np.uint8)
-        background = np.asarray(
-            cv2.convertScaleAbs(np.maximum(background, 14), alpha=contrast, beta=brightness), np.uint8
+        image, background = (
+            np.asarray(cv2.convertScaleAbs(np.maximum(one, 14), alpha=contrast, beta=brightness), np.uint8)
+            for one in (image, background)
         )
     if rng.random() < 0.3:
         quality = int(rng.integers(60, 96))
@@ -217,15 +207,11 @@ def _worn(rng: np.random.Generator, image: Image, background: Image) -> tuple[Im
         start = np.array([rng.uniform(0, columns), rng.uniform(0, rows)])
         end = start + rng.normal(0.0, 1.0, 2) * (rng.uniform(5, 120) if sheet is old else rng.uniform(1, 12))
         level = rng.normal(0.0, 18.0) + rng.normal(0.0, 8.0, 3)
-        points = [(round(float(p[0])), round(float(p[1]))) for p in (start, end)]
-        color = (float(level[0]), float(level[1]), float(level[2]))
-        cv2.line(sheet, points[0], points[1], color, int(rng.integers(1, 3)), cv2.LINE_AA)
+        from_px, to_px = np.rint(start).astype(int).tolist(), np.rint(end).astype(int).tolist()
+        cv2.line(sheet, from_px, to_px, _bgr(level), int(rng.integers(1, 3)), cv2.LINE_AA)
     old, new = blurred(old, 0.8), blurred(new, 0.8)
-    return _added(image, old + new), _added(background, old)
-
-
-def _added(image: Image, change: Field) -> Image:
-    return np.asarray(cv2.add(image, change, dtype=cv2.CV_8U), np.uint8)
+    worn = cv2.add(image, old + new, dtype=cv2.CV_8U), cv2.add(background, old, dtype=cv2.CV_8U)
+    return np.asarray(worn[0], np.uint8), np.asarray(worn[1], np.uint8)
 
 
 def _compressed(image: Image, quality: int) -> Image:

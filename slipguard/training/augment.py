@@ -14,7 +14,7 @@ from torch import Tensor
 
 from slipguard.datasets.background_patterns import drift, patterns, structure
 from slipguard.datasets.dataset_files import Image, data_set_pairs, labeled_frames
-from slipguard.datasets.samples import render_sample, unit_blocks
+from slipguard.datasets.samples import render_samples, unit_blocks
 from slipguard.errors import InputError
 from slipguard.perception.background import estimate_background
 from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
@@ -69,7 +69,7 @@ class TrainingFrames:
     def rendered(
         first_seed: int, count: int, progress: Callable[[int], None], workers: Workers | None = None
     ) -> TrainingFrames:
-        """Return the frames of `count` seeds of `render_sample` from `first_seed` on; they take 140 kB each.
+        """Return the frames of `count` seeds of `render_samples` from `first_seed` on; they take 140 kB each.
 
         `progress` is called with the number of frames ready.
         """
@@ -103,8 +103,7 @@ def _collected(count: int, rows: Iterable[_Row], progress: Callable[[int], None]
 
 
 def _rendered_rows(seeds: range) -> list[_Row]:
-    samples = [render_sample(seed) for seed in seeds]
-    return [_row(one.image, one.background, label(one.truth) > 0) for one in samples]
+    return [_row(one.image, one.background, label(one.truth) > 0) for one in render_samples(seeds)]
 
 
 def _row(image: Image, background: Image | None, mask: NDArray[np.bool_]) -> _Row:

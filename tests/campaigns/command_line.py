@@ -131,9 +131,8 @@ def train_paper_network(
     encoder_weights: Annotated[
         Path | None, typer.Option(help="Initial weights of the ResNet18 encoder. Default: random.")
     ] = None,
-    int8: Annotated[bool, typer.Option("--int8", help="Also write an int8 file, and evaluate both.")] = False,
     work: Annotated[
-        Path, typer.Option(help="Folder for rendered frames and the checkpoint. A stopped training is continued.")
+        Path, typer.Option(help="Folder for the checkpoint and the weights. A stopped training is continued.")
     ] = Path("build/train"),
     cluster: Annotated[str | None, typer.Option(help="Dask scheduler to render on: tcp://HOST:8786.")] = None,
 ) -> None:
@@ -149,7 +148,7 @@ def train_paper_network(
     out = out or Path(f"models/{arch.value}-resnet18.onnx")
     train_paper(
         PaperTrainingOptions(
-            arch.value, recipe.value, changed, out, work, frames, data, start, encoder_weights, int8, bfloat16, seed,
+            arch.value, recipe.value, changed, out, work, frames, data, start, encoder_weights, bfloat16, seed,
             threads, threshold, cluster,
         )
     )  # fmt: skip

@@ -29,39 +29,50 @@ EVERY = 6
 """Use every sixth frame of a grasp: neighboring frames hardly differ."""
 FALSE_CONTACT_PX = 160
 """Of 76,800 pixels: a larger contact area on an untouched gel is a false contact."""
-HEADER = "| network | Dice | IoU | ms a frame, one thread | false contacts |\n|---|---|---|---|---|"
+RESAMPLES = 2000
+HEADER = "| network | Dice | IoU | lowest Dice | ms a frame, one thread | false contacts |\n|---|---|---|---|---|---|"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabeledFrame:
-    """A frame and its label. image, background (None: unknown): (320, 240, 3) uint8 BGR; mask: (320, 240) bool."""
+    """A frame and its label. image, background (None: unknown): (320, 240, 3) uint8 BGR; mask: (320, 240) bool.
+
+    source: object and grasp (or lift): frames of one grasp resemble each other.
+    """
 
     image: NDArray[np.uint8]
     background: NDArray[np.uint8] | None
     mask: NDArray[np.bool_]
+    source: tuple[str, str] = ("", "")
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkComparison:
-    """One network's scores: mean and standard deviation over the frames with contact; times over all frames.
+    """One network's scores over the frames with contact; times over all frames.
 
     Attributes:
-        ms: processor time of the one thread, which other load on the machine changes little.
+        dice, iou: mean, and its 95 % interval by bootstrap over the grasps.
+        lowest: object with the lowest mean Dice, and that mean.
+        ms: mean and standard deviation of the one thread's processor time, which other load changes little.
         false_contacts: how many of the `untouched` frames.
     """
 
     name: str
     frames: int
-    dice: tuple[float, float]
-    iou: tuple[float, float]
+    dice: tuple[float, float, float]
+    iou: tuple[float, float, float]
+    lowest: tuple[str, float]
     ms: tuple[float, float]
     false_contacts: int
     untouched: int
 
     def __str__(self) -> str:
-        pairs = [f"{mean:.3f} ± {sd:.3f}" for mean, sd in (self.dice, self.iou)]
-        time_ms = f"{self.ms[0]:.1f} ± {self.ms[1]:.1f}"
-        return f"| {' | '.join([self.name, *pairs, time_ms, f'{self.false_contacts} of {self.untouched}'])} |"
+        overlaps = [f"{mean:.3f} ({low:.3f}–{high:.3f})" for mean, low, high in (self.dice, self.iou)]
+        lowest = f"{self.lowest[0]} {self.lowest[1]:.3f}"
+        time_ms = f"{self.ms[0]:.2f} ± {self.ms[1]:.2f}"
+        return (
+            f"| {' | '.join([self.name, *overlaps, lowest, time_ms, f'{self.false_contacts} of {self.untouched}'])} |"
+        )
 
 
 def grasp_frames(seeds: Sequence[int], workers: Workers | None = None) -> list[LabeledFrame]:
@@ -82,7 +93,8 @@ def recorded_frames(folder: Path) -> list[LabeledFrame]:
             for true in data.true_masks[finger] if images else ():
                 near_s = float(times_s[np.argmin(np.abs(times_s - true.time_s))])
                 if abs(near_s - true.time_s) <= MASK_GAP_S:
-                    found.append(LabeledFrame(images[near_s].pixels(), settings.background(finger), mask_of(true)))
+                    image, background = images[near_s].pixels(), settings.background(finger)
+                    found.append(LabeledFrame(image, background, mask_of(true), (path.stem, finger)))
     if not found:
         raise InputError(f"{folder}: no recorded lift with true contact masks")
     return found
@@ -101,7 +113,7 @@ def compare_networks(
 
 class _Scores:
     def __init__(self) -> None:
-        self._overlaps: list[tuple[float, float]] = []
+        self._overlaps: dict[tuple[str, str], list[tuple[float, float]]] = {}
         self._times_ms: list[float] = []
         self._false = self._untouched = 0
 
@@ -111,22 +123,32 @@ class _Scores:
         self._times_ms.append((time.thread_time() - began_s) * 1e3)
         mask = np.asarray(cv2.resize(probability, frame.mask.shape[::-1]) > segmenter.threshold)
         if frame.mask.any():
-            self._overlaps.append((dice(mask, frame.mask), iou(mask, frame.mask)))
+            self._overlaps.setdefault(frame.source, []).append((dice(mask, frame.mask), iou(mask, frame.mask)))
         else:
             self._untouched += 1
             self._false += int(mask.sum()) > FALSE_CONTACT_PX
 
     def summary(self, name: str) -> NetworkComparison:
-        mean, sd = np.mean(self._overlaps, 0), np.std(self._overlaps, 0)
+        """Return the scores. Every grasp counts by its number of frames, in the resamples as well."""
+        counts = np.array([len(one) for one in self._overlaps.values()])
+        sums = np.array([np.sum(one, 0) for one in self._overlaps.values()])
+        picks = np.random.default_rng(0).integers(0, len(sums), (RESAMPLES, len(sums)))
+        means = sums[picks].sum(1) / counts[picks].sum(1)[:, None]
+        low, high = np.quantile(means, (0.025, 0.975), axis=0)
+        mean = sums.sum(0) / counts.sum()
+        dices, ious = ((float(mean[k]), float(low[k]), float(high[k])) for k in (0, 1))
+        objects: dict[str, list[float]] = {}
+        for (shown, _), overlaps in self._overlaps.items():
+            objects.setdefault(shown, []).extend(one[0] for one in overlaps)
+        lowest = min(((shown, float(np.mean(one))) for shown, one in objects.items()), key=lambda one: one[1])
         ms = float(np.mean(self._times_ms)), float(np.std(self._times_ms))
-        dices, ious = ((float(mean[k]), float(sd[k])) for k in (0, 1))
-        return NetworkComparison(name, len(self._overlaps), dices, ious, ms, self._false, self._untouched)
+        return NetworkComparison(name, int(counts.sum()), dices, ious, lowest, ms, self._false, self._untouched)
 
 
 def _labeled(which: tuple[str, int]) -> list[LabeledFrame]:
-    grasp = render_grasp(*which, with_masks=True)
+    grasp = render_grasp(*which, with_masks=True, mask_every=EVERY)
     return [
-        LabeledFrame(shot.frame.image, grasp.background, np.asarray(shot.mask > 0))
+        LabeledFrame(shot.frame.image, grasp.background, np.asarray(shot.mask > 0), (which[0], str(which[1])))
         for shot in grasp.shots[::EVERY]
         if shot.mask is not None
     ]

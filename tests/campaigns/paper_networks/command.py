@@ -1,4 +1,4 @@
-"""`python -m tests.campaigns train-paper-network`: train, export and evaluate a network of the paper."""
+"""`python -m tests.campaigns train-paper-network`: train and export a network of the paper."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ class PaperTrainingOptions:
     data: Path | None
     start: Path | None
     encoder_weights: Path | None
-    int8: bool
     bfloat16: bool
     seed: int
     threads: int
@@ -38,18 +37,15 @@ class PaperTrainingOptions:
 
 
 def train_paper(options: PaperTrainingOptions) -> None:
-    """Train, export and evaluate the network; prints the results. Raises InputError or ModelError."""
+    """Train and export the network; prints the results. Raises InputError or ModelError."""
     import torch
     from rich.console import Console
 
     from slipguard.cli.terminal import progress_bars
     from slipguard.tools.parallel import Workers
     from slipguard.training.onnx_export import model_metadata
-    from tests.campaigns.int8_export import CALIBRATION_FRAMES, write_int8
-    from tests.campaigns.paper_networks.export import export_paper
-    from tests.campaigns.paper_networks.networks import FrameNet
+    from tests.campaigns.paper_networks.networks import FrameNet, export_paper
     from tests.campaigns.paper_networks.recipe import FRAMES, RECIPES, Arch
-    from tests.campaigns.paper_networks.report import draw_curves, score_network
     from tests.campaigns.paper_networks.training import HISTORY, PaperTraining, choose_precision, train
 
     console = Console()
@@ -83,7 +79,7 @@ def train_paper(options: PaperTrainingOptions) -> None:
                 f"{epoch.seconds:.0f} s"
             )
 
-        history = train(
+        train(
             net,
             settings,
             precision,
@@ -93,8 +89,7 @@ def train_paper(options: PaperTrainingOptions) -> None:
             on_step,
             on_epoch,
         )
-    draw_curves(history, f"{arch.value}, {recipe.name}", work / "curves.png")
-    console.print(f"results of each epoch in {work / HISTORY}, curves in {work / 'curves.png'}")
+    console.print(f"results of each epoch in {work / HISTORY}")
     metadata = model_metadata(
         _command(options, len(shown)),
         options.seed,
@@ -102,17 +97,9 @@ def train_paper(options: PaperTrainingOptions) -> None:
         _label(options),
         (recipe.width_px, recipe.height_px),
     )
-    difference = export_paper(net, options.out, metadata, held_out)
+    difference = export_paper(net, options.out, metadata, held_out.frame)
     size_mb = options.out.stat().st_size / 1e6
     console.print(f"wrote {options.out} ({size_mb:.1f} MB); onnxruntime and torch differ by at most {difference:.1e}")
-    console.print(f"held out, {options.out.name}: {score_network(options.out, held_out, options.threshold)}")
-    if options.int8:
-        smaller = options.out.with_name(f"{options.out.stem}-int8.onnx")
-        write_int8(options.out, smaller, shown.sample(CALIBRATION_FRAMES))
-        size_mb = smaller.stat().st_size / 1e6
-        console.print(
-            f"held out, {smaller.name} ({size_mb:.1f} MB): {score_network(smaller, held_out, options.threshold)}"
-        )
 
 
 def _frames(
@@ -128,11 +115,10 @@ def _frames(
     size_px = (recipe.width_px, recipe.height_px)
     if options.data is not None:
         return read_masked_frames(options.data, size_px)
-    options.work.mkdir(parents=True, exist_ok=True)
     parts = []
     for count, held_out in ((options.frames or default_count, False), (HELD_OUT, True)):
         show = add_bar("rendering held-out frames" if held_out else "rendering", count)
-        parts.append(render_masked_frames(options.work, count, size_px, held_out, workers, show))
+        parts.append(render_masked_frames(count, size_px, held_out, workers, show))
     return parts[0], parts[1]
 
 

@@ -6,9 +6,11 @@ network, so that training and use cannot differ.
 
 from __future__ import annotations
 
+import copy
 import importlib
 import sys
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from slipguard.errors import InputError
+from slipguard.training.onnx_export import CHECKED_FRAMES, round_to_float16, write_checked
 from tests.campaigns.paper_networks.recipe import Arch
 
 ENCODER = "resnet18"
@@ -116,6 +119,30 @@ def _cell_means(length: int, cells: int) -> NDArray[np.float32]:
         first, last = cell * length // cells, -(-(cell + 1) * length // cells)
         matrix[cell, first:last] = 1.0 / (last - first)
     return matrix
+
+
+class _Probability(nn.Module):
+    """Returns probabilities instead of logits."""
+
+    def __init__(self, net: FrameNet) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, frame: Tensor) -> Tensor:
+        return torch.sigmoid(self.net(frame))
+
+
+def export_paper(net: FrameNet, path: Path, metadata: Mapping[str, str], frames: NDArray[np.uint8]) -> float:
+    """Write the network to `path`; return the largest difference of its probabilities to torch's on the first frames.
+
+    Raises:
+        ModelError: As `write_checked`.
+    """
+    rounded: Any = copy.deepcopy(net).to("cpu")
+    rounded.to(memory_format=torch.contiguous_format)
+    round_to_float16(rounded)
+    feeds = [{"frame": frames[at : at + 1]} for at in range(min(CHECKED_FRAMES, len(frames)))]
+    return write_checked(_Probability(rounded).eval(), feeds[0], path, metadata, feeds)
 
 
 def segmentation_models() -> Any:

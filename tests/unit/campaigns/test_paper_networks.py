@@ -36,9 +36,9 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def trained(data_set: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a trained PSPNet, net.onnx and net-int8.onnx."""
+    """Return the folder of a trained PSPNet, net.onnx."""
     folder = tmp_path_factory.mktemp("trained")
-    assert run([*words(data_set, folder), "--out", str(folder / "net.onnx"), "--int8"]) == 0
+    assert run([*words(data_set, folder), "--out", str(folder / "net.onnx")]) == 0
     return folder
 
 
@@ -47,15 +47,12 @@ def words(data: Path, work: Path, epochs: int = 2) -> list[str]:
     return ["train-paper-network", "pspnet", *line.split()]
 
 
-def test_the_command_writes_history_and_curves(trained: Path) -> None:
+def test_the_command_writes_the_history(trained: Path) -> None:
     work = trained / "pspnet-short"
     measured = json.loads((work / "history.json").read_text())
     assert [epoch["number"] for epoch in measured["epochs"]] == [1, 2]
     assert all(0.0 <= epoch["iou"] <= epoch["dice"] <= 1.0 for epoch in measured["epochs"])
     assert measured["settings"]["encoder"] == "random"
-    curves = cv2.imread(str(work / "curves.png"))
-    assert curves is not None
-    assert curves.std() > 5.0
 
 
 def test_the_product_runs_the_file(trained: Path) -> None:
@@ -68,10 +65,6 @@ def test_the_product_runs_the_file(trained: Path) -> None:
     estimate = segmenter.segment(image, None)
     assert estimate.shape == (160, 120)
     assert np.array_equal(estimate, segmenter.segment(image, image))
-    smaller = Segmenter(trained / "net-int8.onnx")
-    assert smaller.metadata["command"].endswith("--int8")
-    assert np.abs(smaller.segment(image, None) - estimate).mean() < 0.1
-    assert smaller.path.stat().st_size < 0.7 * segmenter.path.stat().st_size
 
 
 def test_large_weights_are_stored_as_float16(trained: Path) -> None:
@@ -139,12 +132,10 @@ def test_an_export_that_differs_or_is_not_finite_is_not_written(
     weight: float | None, allowed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from slipguard.training import onnx_export
-    from tests.campaigns.paper_networks.export import export_paper
-    from tests.campaigns.paper_networks.frames import MaskedFrames
-    from tests.campaigns.paper_networks.networks import FrameNet
+    from tests.campaigns.paper_networks.networks import FrameNet, export_paper
     from tests.campaigns.paper_networks.recipe import Arch
 
-    frames = MaskedFrames(np.zeros((1, 160, 120, 3), np.uint8), np.zeros((1, 160, 120), np.uint8))
+    frames = np.zeros((1, 160, 120, 3), np.uint8)
     monkeypatch.setattr(onnx_export, "DIFFERENCE_MAX", allowed)
     (tmp_path / "net.onnx").write_text("as it was")
     net = FrameNet(Arch.pspnet, 160, 120)

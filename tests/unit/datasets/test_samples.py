@@ -12,13 +12,24 @@ from numpy.typing import NDArray
 
 from slipguard.cli.app import run
 from slipguard.datasets.dataset_files import DataSetWriter, contact_sheet, read_backgrounds, render_dataset
-from slipguard.datasets.random_shapes import composition, resized, roughened, with_neighbor
-from slipguard.datasets.samples import BROAD_NAME, COMPOSITION_NAME, UNIT_FRAMES, RenderedSample, render_sample
+from slipguard.datasets.samples import (
+    BROAD_NAME,
+    COMPOSITION_NAME,
+    UNIT_FRAMES,
+    RenderedSample,
+    render_presses,
+    render_samples,
+)
 from slipguard.errors import InputError
 from slipguard.sim.catalogue import object_names
 from slipguard.sim.contact_label import label
-from slipguard.sim.height_raster import FLOOR_MM, height_raster_of
 from slipguard.tools.parallel import Workers
+
+
+def render_sample(
+    seed: int, backgrounds: list[NDArray[np.uint8]] | None = None, split: str = "train"
+) -> RenderedSample:
+    return next(render_samples(range(seed, seed + 1), backgrounds, split))
 
 
 def equal(a: RenderedSample, b: RenderedSample) -> bool:
@@ -53,17 +64,6 @@ def test_equal_lists_of_backgrounds_give_equal_frames() -> None:
     assert equal(render_sample(70, real_ones()), render_sample(70, real_ones()))
 
 
-@pytest.mark.campaign
-def test_the_manifest_describes_the_frames(many: list[RenderedSample]) -> None:
-    for drawn in many:
-        for image in (drawn.image, drawn.background):
-            assert image.shape == (320, 240, 3)
-            assert image.dtype == np.uint8
-        assert drawn.has_contact == bool(label(drawn.truth).any())
-        if drawn.view.depth_mm <= 0:
-            assert not drawn.has_contact
-
-
 def test_frames_are_varied(many: list[RenderedSample]) -> None:
     names = {drawn.view.object_name for drawn in many if drawn.has_contact}
     assert COMPOSITION_NAME in names
@@ -81,7 +81,9 @@ def test_frames_are_varied(many: list[RenderedSample]) -> None:
 
 def test_without_contact_a_frame_is_its_background_but_for_light_and_wear(many: list[RenderedSample]) -> None:
     for drawn in many:
-        if not drawn.has_contact and drawn.view.depth_mm <= 0:
+        assert drawn.has_contact == bool(label(drawn.truth).any())
+        if drawn.view.depth_mm <= 0:
+            assert not drawn.has_contact
             off = cv2.blur(drawn.image.astype(np.float32) - drawn.background, (15, 15))
             assert float(np.abs(np.median(off, axis=(0, 1))).max()) < 20
 
@@ -93,30 +95,11 @@ def test_training_frames_never_show_a_test_object(many: list[RenderedSample]) ->
     assert tested <= set(object_names("test"))
 
 
-def test_compositions_are_surfaces() -> None:
-    for seed in range(20):
-        raster = composition(np.random.default_rng(seed))
-        assert raster.fine.dtype == np.float32
-        assert float(raster.fine.max()) == pytest.approx(0.0, abs=1e-5)
-        assert float(raster.fine.min()) >= FLOOR_MM
-
-
-def test_a_resized_surface_is_larger_and_a_rough_one_rough() -> None:
-    ring = height_raster_of("nut")
-    to_object = np.array([[0.1, 0.0, -12.0], [0.0, -0.1, 12.0]])
-    area = (ring.posed(to_object, (240, 240)) > -0.1).sum()
-    larger = (resized(ring, 1.5).posed(to_object, (240, 240)) > -0.1).sum()
-    assert larger == pytest.approx(1.5**2 * area, rel=0.03)
-    rough = roughened(ring, np.random.default_rng(0), 0.05).fine - ring.fine
-    assert 0.02 < rough.std() < 0.08
-
-
-def test_two_bodies_side_by_side_are_both_there() -> None:
-    bead = height_raster_of("bead")
-    pair = with_neighbor(bead, bead, np.random.default_rng(3))
-    count, _ = cv2.connectedComponents((pair.fine > -0.8).astype(np.uint8))
-    assert count == 3  # two and the ground
-    assert float(pair.fine.max()) == pytest.approx(float(bead.fine.max()), abs=0.02)
+def test_presses_show_the_given_objects_in_turn_and_always_touch() -> None:
+    names = ("nut", "gear")
+    drawn = list(render_presses(names, range(UNIT_FRAMES - 2, UNIT_FRAMES + 2)))
+    assert [one.view.object_name for one in drawn] == [*names, *names]
+    assert all(label(one.truth).any() for one in drawn)
 
 
 def test_the_command_writes_a_data_set(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

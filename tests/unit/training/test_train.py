@@ -93,14 +93,16 @@ def test_the_command_trains_on_a_data_set(tmp_path: Path, capfd: pytest.CaptureF
 
 @needs_torch
 def test_rendered_frames_are_those_of_their_seeds() -> None:
-    from slipguard.datasets.samples import UNIT_FRAMES, render_sample
+    from slipguard.datasets.samples import UNIT_FRAMES, render_samples
     from slipguard.training.augment import TrainingFrames
 
     ready: list[int] = []
     first = UNIT_FRAMES - 2
     frames = TrainingFrames.rendered(first, 4, ready.append, Workers(jobs=1))
     assert ready == [1, 2, 3, 4]
-    shown = cv2.resize(render_sample(first + 2).image, (120, 160), interpolation=cv2.INTER_AREA)
+    shown = cv2.resize(
+        next(render_samples(range(first + 2, first + 3))).image, (120, 160), interpolation=cv2.INTER_AREA
+    )
     np.testing.assert_array_equal(frames.frame[2], shown)
     assert frames.known.all()
     training, held_out = frames.split()
