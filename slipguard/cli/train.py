@@ -46,10 +46,6 @@ def train(
         Path | None,
         typer.Option(help="Start from the weights.pt in the work folder of an earlier training."),
     ] = None,
-    teacher: Annotated[
-        Path | None,
-        typer.Option(help="ONNX file of a larger network, to learn its probabilities as well as the labels."),
-    ] = None,
     work: Annotated[
         Path, typer.Option(help="Folder for the checkpoint and the weights. A stopped training is continued.")
     ] = Path("build/train"),
@@ -96,13 +92,11 @@ def train(
             console.print(line + (f", {validate} IoU {labeled_iou:.3f}" if labeled_iou is not None else ""))
 
         on_step = add_bar("training", None)
-        net = fit(shown, held_out, settings, work, on_step, on_epoch, real_backgrounds, start, teacher)
+        net = fit(shown, held_out, settings, work, on_step, on_epoch, real_backgrounds, start)
     source = f"--frames {frames}" if data is None else f"--data ({len(shown)} frames)"
     command = f"slipguard train {source} --epochs {epochs} --seed {seed} --batch {batch} --rate {rate:g}"
     if bfloat16:
         command += " --bfloat16"
-    if teacher:
-        command += f" --teacher {teacher.name}"
     if start:
         command += " --start weights.pt"
     if real_backgrounds:

@@ -12,37 +12,19 @@ from torch import Tensor, nn
 
 from slipguard.perception.segmenter import INPUT_HEIGHT_PX, INPUT_WIDTH_PX
 
-WIDTHS = (16, 32, 64)
-"""Channels at a half, a quarter and an eighth of the input. Multiples of 16: onnxruntime computes these in blocks."""
-DILATIONS = (1, 2, 4, 1, 2, 4)
-"""Of the blocks at an eighth; together they see the whole image."""
-MIDDLE_GRAY = 96.0
+WIDTHS = (16, 32, 64, 96)
+"""Channels at a half, a quarter, an eighth and a sixteenth of the input."""
+SCALE = 1.0 / 48.0
+"""Gray levels to network units: a strong imprint is about 50 to 100 gray levels."""
 
 
-class _Block(nn.Module):
-    """A residual 3x3 convolution, separable: each channel by itself, then a mix of the channels in every pixel."""
-
-    def __init__(self, channels: int, dilation: int = 1) -> None:
-        super().__init__()
-        self.change = nn.Sequential(
-            nn.Conv2d(channels, channels, 3, 1, dilation, dilation, channels, bias=False),
-            nn.BatchNorm2d(channels),
-            nn.ReLU(inplace=True),
-            nn.Conv2d(channels, channels, 1, bias=False),
-            nn.BatchNorm2d(channels),
-        )
-
-    def forward(self, x: Tensor) -> Tensor:
-        return torch.relu(x + self.change(x))
-
-
-def _halved(inputs: int, outputs: int) -> nn.Sequential:
-    conv = nn.Conv2d(inputs, outputs, 3, 2, 1, bias=False)
+def _conv(inputs: int, outputs: int, *, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    conv = nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False)
     return nn.Sequential(conv, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 
 class SmallNet(nn.Module):
-    """Encoder-decoder with three strides of two, separable blocks, global context and a sub-pixel head.
+    """Encoder-decoder with four strides of two, global context at the coarsest level and a sub-pixel head.
 
     Full resolution takes most of the time on one core: the first convolution has a stride, and the head restores the
     resolution by depth-to-space. The position of a contour depends on the deepest press anywhere in the image, so at
@@ -55,35 +37,58 @@ class SmallNet(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        a, b, c = WIDTHS
-        self.down_half = _halved(6, a)
-        self.down_quarter = nn.Sequential(_halved(a, b), _Block(b), _Block(b))
-        self.down_eighth = nn.Sequential(_halved(b, c), _Block(c))
-        self.context = nn.Sequential(nn.Conv2d(2 * c + 1, c, 1), nn.ReLU(inplace=True), nn.Conv2d(c, c, 1))
-        self.middle = nn.Sequential(*(_Block(c, dilation) for dilation in DILATIONS))
-        self.to_quarter = nn.Conv2d(c, b, 1)
-        self.up_quarter = nn.Sequential(_Block(b), _Block(b))
-        self.to_half = nn.Conv2d(b, a, 1)
-        self.up_half = _Block(a)
-        self.head = nn.Conv2d(a, 4, 1)
+        a, b, c, d = WIDTHS
+        self.stem = nn.Conv2d(6, a, 5, 2, 2)
+        self.known = nn.Parameter(torch.zeros(1, a, 1, 1))
+        self.stem_rest = nn.Sequential(nn.BatchNorm2d(a), nn.ReLU(inplace=True))
+        self.down1 = nn.Sequential(_conv(a, b, stride=2), _conv(b, b))
+        self.down2 = _conv(b, c, stride=2)
+        self.middle = _conv(c, c)
+        self.context = _GlobalContext(c, d)
+        self.side2 = nn.Conv2d(c, b, 1)
+        self.up2 = _conv(b, b)
+        self.side1 = nn.Conv2d(b, a, 1)
+        self.up1 = _conv(a, a)
+        self.head = nn.Conv2d(a, 4, 3, 1, 1)
 
     def forward(self, frame: Tensor, background: Tensor, background_known: Tensor) -> Tensor:
-        half = self.down_half(_inputs(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float()))
-        quarter = self.down_quarter(half)
-        eighth = self.down_eighth(quarter)
-        whole = (eighth.mean((2, 3), keepdim=True), eighth.amax((2, 3), keepdim=True))
-        eighth = self.middle(eighth + self.context(torch.cat((*whole, background_known.view(-1, 1, 1, 1)), 1)))
-        quarter = self.up_quarter(quarter + nn.functional.interpolate(self.to_quarter(eighth), scale_factor=2.0))
-        half = self.up_half(half + nn.functional.interpolate(self.to_half(quarter), scale_factor=2.0))
+        inputs = _inputs(frame.permute(0, 3, 1, 2).float(), background.permute(0, 3, 1, 2).float())
+        half = self.stem_rest(self.stem(inputs) + self.known * background_known.view(-1, 1, 1, 1))
+        quarter = self.down1(half)
+        eighth = self.down2(quarter)
+        eighth = self.context(eighth + self.middle(eighth))
+        quarter = self.up2(quarter + nn.functional.interpolate(self.side2(eighth), scale_factor=2.0))
+        half = self.up1(half + nn.functional.interpolate(self.side1(quarter), scale_factor=2.0))
         return nn.functional.pixel_shuffle(self.head(half), 2)
 
 
-def _inputs(frame: Tensor, background: Tensor) -> Tensor:
-    change = frame - background
-    sparse = change[:, :, ::4, ::4]
-    level = sparse.clamp(-12.0, 12.0).mean((2, 3), keepdim=True)
-    level = level + (sparse - level).clamp(-6.0, 6.0).mean((2, 3), keepdim=True)
-    return torch.cat((change - level, frame - MIDDLE_GRAY), 1)
+def _inputs(image: Tensor, background: Tensor) -> Tensor:
+    change = image - background
+    level = change.clamp(-12.0, 12.0).mean((2, 3), keepdim=True)
+    level = level + (change - level).clamp(-6.0, 6.0).mean((2, 3), keepdim=True)
+    return torch.cat(((change - level) * SCALE, (image - 96.0) * (SCALE / 2)), 1)
+
+
+class _GlobalContext(nn.Module):
+    """The level at a sixteenth of the input, where every place gets the mean and maximum of the whole image."""
+
+    def __init__(self, outer: int, width: int) -> None:
+        super().__init__()
+        self.down = _conv(outer, width, stride=2)
+        self.pooled = nn.Sequential(nn.Conv2d(2 * width, width, 1), nn.ReLU(), nn.Conv2d(width, width, 1))
+        self.blocks = nn.ModuleList(_conv(width, width, dilation=dilation) for dilation in (1, 2))
+        self.side = nn.Conv2d(width, outer, 1)
+        self.up = _conv(outer, outer)
+
+    def forward(self, outer: Tensor) -> Tensor:
+        inner = self.down(outer)
+        inner = inner + self.pooled(torch.cat((inner.mean((2, 3), keepdim=True), inner.amax((2, 3), keepdim=True)), 1))
+        for block in self.blocks:
+            inner = inner + block(inner)
+        height, width = outer.shape[2:]
+        back = nn.functional.interpolate(self.side(inner), scale_factor=2.0)[:, :, :height, :width]
+        mixed: Tensor = self.up(outer + back)
+        return mixed
 
 
 class ProbabilityNet(nn.Module):

@@ -14,10 +14,8 @@ from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from slipguard.datasets.mask_scores import dice, iou
-from slipguard.errors import InputError, ModelError
-from slipguard.perception.segmenter import CONTRACT, Segmenter
-from slipguard.training.augment import Augment, TrainingBatch, TrainingFrames
-from slipguard.training.onnx_export import INPUTS, open_session
+from slipguard.errors import InputError
+from slipguard.training.augment import Augment, TrainingFrames
 from slipguard.training.small_network import SmallNet
 
 WARM_UP_SHARE = 0.05
@@ -25,8 +23,6 @@ AVERAGE_HALF_LIFE_EPOCHS = 0.25
 DICE_SMOOTHING_PX = 20.0
 FALSE_CONTACT_PX = 40
 """Of 19,200: more contact in a frame without any is a false contact."""
-TEACHER_SHARE = 0.5
-"""Of the target, the rest is the label: the teacher is smooth where a label is sharp."""
 WEIGHTS = "weights.pt"
 """In the work folder: the final weights, from which a later training can start."""
 
@@ -62,30 +58,15 @@ class EpochFigures:
     false_contact: float
 
 
-def segmentation_loss(logits: Tensor, target: Tensor) -> Tensor:
+def segmentation_loss(logits: Tensor, label: Tensor) -> Tensor:
     """Return twice the mean binary cross-entropy plus one minus the soft Dice of the samples with contact."""
-    entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, target)
+    entropy = torch.nn.functional.binary_cross_entropy_with_logits(logits, label)
     probability = torch.sigmoid(logits)
-    both = (probability * target).sum((1, 2, 3))
-    total = (probability + target).sum((1, 2, 3))
-    touching = (target.sum((1, 2, 3)) > 0).float()
+    both = (probability * label).sum((1, 2, 3))
+    total = (probability + label).sum((1, 2, 3))
+    touching = (label.sum((1, 2, 3)) > 0).float()
     overlap = (2.0 * both + DICE_SMOOTHING_PX) / (total + DICE_SMOOTHING_PX)
     return 2.0 * entropy + ((1.0 - overlap) * touching).mean()
-
-
-class Teacher:
-    """A trained network that runs on the batches of another's training. Raises ModelError for an unsuitable file."""
-
-    def __init__(self, path: Path) -> None:
-        if Segmenter(path).metadata["slipguard_contract"] != CONTRACT:
-            raise ModelError(f"{path}: a teacher must be a network of contract {CONTRACT}; set the small network")
-        self._session = open_session(path)
-
-    def __call__(self, batch: TrainingBatch) -> Tensor:
-        """Return its probabilities, (N, 1, 160, 120)."""
-        arrays = (batch.frame.numpy(), batch.background.numpy(), batch.known.numpy())
-        feeds = (dict(zip(INPUTS, (one[None] for one in row), strict=True)) for row in zip(*arrays, strict=True))
-        return torch.from_numpy(np.concatenate([self._session.run(None, feed)[0] for feed in feeds]))
 
 
 def train(
@@ -97,7 +78,6 @@ def train(
     on_epoch: Callable[[EpochFigures, SmallNet], None],
     backgrounds: list[NDArray[np.uint8]] | None = None,
     start: Path | None = None,
-    teacher: Path | None = None,
 ) -> SmallNet:
     """Train and return the averaged network. Adam, one cycle of the rate, exponential average of the weights.
 
@@ -110,11 +90,9 @@ def train(
         on_epoch: Called with the figures and the average so far.
         backgrounds: Real background images (320, 240, 3) that half of the imprints are put on.
         start: Weights of an earlier training, to start with instead of random ones.
-        teacher: A network of contract 1 whose probabilities, seeing the same augmented frames, are half of the target.
 
     Raises:
         InputError: There are fewer frames than one batch, or `start` holds other weights.
-        ModelError: The teacher is no network of contract 1.
     """
     steps = len(frames) // settings.batch
     if steps < 1:
@@ -125,7 +103,6 @@ def train(
     if start is not None:
         load_weights(net, start)
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload, unused-ignore]
-    teach = None if teacher is None else Teacher(teacher)
     keep = 0.5 ** (1.0 / max(AVERAGE_HALF_LIFE_EPOCHS * steps, 1.0))
     average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(keep), use_buffers=True)
     averaged: SmallNet = average.module
@@ -135,7 +112,7 @@ def train(
         optimizer, settings.rate, max(total + 1, 10), pct_start=WARM_UP_SHARE, cycle_momentum=False
     )
     parts = (net, average, optimizer, schedule)
-    identity = asdict(settings) | {"threads": 0, "frames": len(frames), "teacher": teacher.name if teacher else ""}
+    identity = asdict(settings) | {"threads": 0, "frames": len(frames)}
     checkpoint = work / "checkpoint.pt"
     for epoch in range(_resume(checkpoint, identity, parts), settings.epochs):
         augment = Augment(settings.seed + 1000 * (epoch + 1), settings.patterns, backgrounds)
@@ -146,8 +123,7 @@ def train(
             batch = augment(frames.part(np.sort(order[step * settings.batch :][: settings.batch])))
             with torch.autocast("cpu", torch.bfloat16, enabled=settings.bfloat16):
                 logits = net(batch.frame, batch.background, batch.known)
-            target = batch.label if teach is None else torch.lerp(batch.label, teach(batch), TEACHER_SHARE)
-            loss = segmentation_loss(logits.float(), target)
+            loss = segmentation_loss(logits.float(), batch.label)
             optimizer.zero_grad()
             torch.autograd.backward(loss)
             optimizer.step()

@@ -9,8 +9,8 @@ import pytest
 from command_line import slipguard
 
 from slipguard.cli.train import train as train_command
-from slipguard.errors import InputError, ModelError
-from slipguard.perception.segmenter import Segmenter, default_model_path
+from slipguard.errors import InputError
+from slipguard.perception.segmenter import Segmenter
 from slipguard.tools.parallel import Workers
 
 needs_torch = pytest.mark.extras("torch", "onnx")
@@ -136,22 +136,3 @@ def test_weights_of_another_network_are_refused(tmp_path: Path, spoil: str) -> N
     with pytest.raises(InputError, match="not the weights of this network") as caught:
         load_weights(SmallNet(), path)
     assert "\n" not in str(caught.value)
-
-
-@needs_torch
-def test_a_teacher_runs_on_the_batch_of_its_student() -> None:
-    import torch
-
-    from slipguard.training.augment import Augment, TrainingFrames
-    from slipguard.training.train import Teacher
-
-    frames = TrainingFrames.rendered(0, 4, lambda ready: None, Workers(jobs=1))
-    batch = Augment(0, 4)(frames)
-    target = Teacher(default_model_path())(batch)
-    assert target.shape == batch.label.shape
-    touched = batch.label > 0.5
-    assert float(target[touched].mean()) > 0.8
-    assert float(target[~touched].mean()) < 0.2
-    assert torch.isfinite(target).all()
-    with pytest.raises(ModelError, match="contract 1"):
-        Teacher(default_model_path().with_name("deeplabv3plus-resnet18.onnx"))
