@@ -8,6 +8,7 @@ import fcntl
 import os
 import termios
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -32,11 +33,13 @@ class Bench:
             self.jaws, FIGURES["2F-85"], lambda event, **details: self.events.append(event)
         )
         self.now_s = 100.0
+        self.widths_mm: list[float] = []
 
     def wait(self, seconds: float) -> None:
-        for _ in range(round(seconds / 0.005)):
-            self.now_s += 0.005
-            self.registers.tick(self.now_s)
+        ends_s = self.now_s + seconds
+        while self.now_s < ends_s - 1e-9:
+            self.now_s = min(self.now_s + 0.005, ends_s)
+            self.widths_mm.append(self.registers.tick(self.now_s).width_mm)
 
     def write(self, *words: int, after_s: float = 0.05) -> None:
         self.registers.write(self.now_s, 0x03E8, words)
@@ -70,6 +73,120 @@ def bench() -> Bench:
     return bench
 
 
+GRIP, FIRM, GO_FIRM, STOP_FIRM = (
+    (0x0900, 0xFF, 0xFF00),
+    (0x0900, 0xFF, 0xFF80),
+    (0x0900, 0xFF, 0xFFFF),
+    (0x0100, 0xFF, 0xFFFF),
+)
+OPEN, ACTIVE, RESET, GO_IN_RESET = (0x0900, 0x00, 0xFF00), (0x0100, 0, 0), (0, 0, 0), (0x0800, 0, 0)
+HALF, FREE, ROUND_OFF = (0x0900, 120, 0xFF00), (0x3100, 0, 0), (0x1100, 0, 0)
+POWER_LOSS = "power"
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is done, how long that is waited for, and what is seen then; None is not compared."""
+
+    do: tuple[int, ...] | str | float | None
+    """Registers written, a loss of power, the width of the object that is there from now on (0: none), or nothing."""
+    wait_s: float
+    flags: int | None = None
+    fault: int | None = None
+    force_n: float | None = None
+    width_mm: float | None = None
+    """0: it was reached at some time."""
+
+
+SESSIONS: dict[str, list[Step]] = {
+    "an activation takes seconds and moves the jaws fully": [
+        Step(RESET, 0.1, flags=0x00),
+        Step(ACTIVE, 0.05, flags=0x11),
+        Step(None, 0.7, width_mm=0.0),
+        Step(None, 3.0, flags=0x31, width_mm=85.0),
+    ],
+    "a new force at rest does nothing; stop, then go tightens": [
+        Step(40.0, 0.0),
+        Step(GRIP, 2.0, flags=0x39 | 0x80, force_n=20.0),
+        Step(GO_FIRM, 2.0, force_n=20.0),
+        Step(STOP_FIRM, 0.05, flags=0x31),
+        Step(GO_FIRM, 2.0, force_n=235.0, width_mm=40.0),
+    ],
+    "a stop and a go within one cycle are no stop": [
+        Step(40.0, 0.0), Step(GRIP, 2.001), Step(STOP_FIRM, 0.0), Step(GO_FIRM, 2.0, force_n=20.0),
+    ],
+    "a reset keeps the grip, an activation drops it": [
+        Step(40.0, 0.0), Step(FIRM, 2.0), Step(RESET, 0.05, flags=0x00, width_mm=40.0), Step(ACTIVE, 0.5, force_n=0.0),
+    ],
+    "a go in reset or before the activation is a fault": [
+        Step(RESET, 0.05), Step(GO_IN_RESET, 0.05, fault=0x07), Step((0x0900, 0, 0), 0.05, fault=0x05),
+    ],
+    "an automatic release opens slowly, overrides a go, and ends in a state that needs an activation": [
+        Step(HALF, 2.0),
+        Step(FREE, 0.3, flags=0x01, fault=0x0B),
+        Step(HALF, 10.0, fault=0x0F, width_mm=85.0),
+        Step(ACTIVE, 1.0, flags=0x01),
+        Step(RESET, 0.05),
+        Step(ACTIVE, 4.0, flags=0x31),
+    ],
+    "an automatic release without rARD closes": [Step(HALF, 2.0), Step(ROUND_OFF, 10.0, fault=0x0F, width_mm=0.0)],
+    "an automatic release frees the object though the power was lost": [
+        Step(40.0, 0.0), Step(FIRM, 2.0), Step(POWER_LOSS, 0.5, flags=0x01, fault=0x05, width_mm=40.0),
+        Step(FREE, 5.0, fault=0x0F, force_n=0.0, width_mm=85.0),
+    ],
+    "without power the screw holds, and a set rACT activates nothing": [
+        Step(40.0, 0.0), Step(GO_FIRM, 2.0), Step(POWER_LOSS, 1.0, force_n=235.0), Step(ACTIVE, 1.0, force_n=235.0),
+    ],
+    "it closes on where an object yields": [
+        Step(40.0, 0.0), Step(FIRM, 2.0), Step(30.0, 1.0, width_mm=30.0),
+    ],
+    "but not with force 0": [Step(40.0, 0.0), Step(GRIP, 2.0), Step(30.0, 1.0, width_mm=40.0, force_n=0.0)],
+    "a removed object is noticed": [Step(40.0, 0.0), Step(FIRM, 2.0), Step(0.0, 0.1, force_n=0.0)],
+    "the force setting does not limit the begin of a motion": [
+        Step(40.0, 0.0), Step(GRIP, 2.0, force_n=20.0), Step((0x0100, 0xFF, 0xFF01), 0.05),
+        Step((0x0900, 0xFF, 0xFF01), 2.0, force_n=20.0 + RAMP_N_S * OVERRIDE_S),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SESSIONS)
+def test_a_session_with_the_registers(bench: Bench, name: str) -> None:
+    bench.widths_mm.clear()
+    for number, step in enumerate(SESSIONS[name]):
+        if isinstance(step.do, tuple):
+            bench.registers.write(bench.now_s, 0x03E8, step.do)
+        elif step.do == POWER_LOSS:
+            bench.registers.lose_power(bench.now_s)
+        elif isinstance(step.do, float):
+            bench.jaws.object_mm = step.do or None
+        bench.wait(step.wait_s)
+        lowest_mm = min(bench.widths_mm) if step.width_mm == 0.0 else bench.width_mm
+        seen = {"flags": bench.flags, "fault": bench.fault, "force_n": bench.force_n, "width_mm": lowest_mm}
+        if not step.flags or not step.flags & 0x08:
+            seen["flags"] = bench.flags & 0x3F  # gOBJ means nothing while gGTO is 0
+        for key, value in seen.items():
+            if (expected := getattr(step, key)) is not None:
+                assert value == pytest.approx(expected, abs=1e-6), f"{key} after step {number + 1}"
+
+
+@pytest.mark.parametrize("code", [0x0A, 0x0C])
+def test_what_cannot_move_has_no_automatic_release(bench: Bench, code: int) -> None:
+    bench.write(*HALF, after_s=2.0)
+    before_mm = bench.width_mm
+    bench.registers.fault = code
+    bench.write(*FREE, after_s=2.0)
+    assert (bench.width_mm, bench.fault) == (before_mm, code)
+
+
+def test_a_unit_that_starts_reset_is_activated_by_the_next_rise_of_ract(bench: Bench) -> None:
+    bench.jaws.object_mm = 40.0
+    bench.write(*FIRM, after_s=2.0)
+    bench.registers.action_after_power_loss = 0
+    bench.registers.lose_power(bench.now_s)
+    bench.write(*ACTIVE, after_s=1.0)
+    assert "released" in bench.events
+
+
 def test_an_activation_presses_the_gels_on_each_other_with_full_force() -> None:
     bench = Bench()
     bench.jaws.fingertip_mm = 20.0
@@ -81,43 +198,6 @@ def test_an_activation_presses_the_gels_on_each_other_with_full_force() -> None:
     assert most_n == 235.0
     assert bench.registers.stage is ActivationStage.READY
     assert bench.jaws.state_at(bench.now_s).width_mm == 85.0
-
-
-def test_sensors_on_the_fingers_meet_early(bench: Bench) -> None:
-    bench.jaws.fingertip_mm = 20.0
-    bench.write(0x0900, 255, 0xFF40, after_s=3.0)
-    assert bench.flags >> 6 == 2, "gel on gel looks like an object"
-    assert bench.jaws.state_at(bench.now_s).width_mm == 40.0
-    bench.write(0x0900, 0, 0xFF40, after_s=3.0)
-    bench.jaws.object_mm = 10.0
-    bench.write(0x0900, 255, 0xFF40, after_s=3.0)
-    assert bench.jaws.state_at(bench.now_s).width_mm == 50.0
-
-
-def test_activation_takes_seconds_and_moves_the_jaws_fully() -> None:
-    bench = Bench()
-    assert bench.flags == 0x00
-    bench.write(0x0100, 0, 0)
-    assert bench.flags == 0x11
-    bench.wait(0.7)
-    assert bench.jaws.state_at(bench.now_s).width_mm < 30.0
-    bench.wait(3.0)
-    assert bench.flags & 0x3F == 0x31
-    assert bench.events[-1] == "activated"
-
-
-def test_a_new_force_at_rest_does_nothing_and_stop_then_go_tightens(bench: Bench) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
-    assert bench.flags == 0xB9
-    assert bench.force_n == pytest.approx(20.0)
-    bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
-    assert bench.force_n == pytest.approx(20.0)
-    bench.write(0x0100, 0xFF, 0xFFFF)
-    assert bench.flags & 0x3F == 0x31
-    bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
-    assert bench.force_n == pytest.approx(235.0)
-    assert "released" not in bench.events
 
 
 @pytest.mark.parametrize("lag_s", [0.0, 0.016, 0.19])
@@ -154,15 +234,6 @@ def test_gobj_means_nothing_while_rgto_is_0(bench: Bench) -> None:
     assert seen == {0, 1, 2, 3}
 
 
-def test_a_stop_and_a_go_within_one_cycle_are_no_stop(bench: Bench) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
-    bench.now_s += 0.001
-    bench.write(0x0100, 0xFF, 0xFFFF, after_s=0.0)
-    bench.write(0x0900, 0xFF, 0xFFFF, after_s=2.0)
-    assert bench.force_n == pytest.approx(20.0)
-
-
 def test_force_never_falls_until_the_jaws_open(bench: Bench) -> None:
     bench.jaws.object_mm = 40.0
     bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
@@ -175,82 +246,10 @@ def test_force_never_falls_until_the_jaws_open(bench: Bench) -> None:
     assert "released" in bench.events
 
 
-def test_clearing_ract_keeps_the_grip_and_activating_drops_it(bench: Bench) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
-    bench.write(0, 0, 0)
-    assert bench.flags == 0x00
-    assert bench.force_n > 100.0
-    assert "released" not in bench.events
-    bench.write(0x0100, 0, 0, after_s=0.5)
-    assert "released" in bench.events
-
-
-def test_a_go_before_activation_is_a_fault() -> None:
-    bench = Bench()
-    bench.write(0x0800, 0, 0)
-    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x07
-    bench.write(0x0900, 0, 0)
-    assert bench.registers.read(bench.now_s)[1] >> 8 == 0x05
-
-
 def test_silence_is_reported(bench: Bench) -> None:
     bench.registers.request_received(bench.now_s)
     bench.wait(1.5)
     assert bench.fault == 0x09
-
-
-@pytest.mark.parametrize(("word", "end_mm"), [(0x1100, 0.0), (0x3100, 85.0)], ids=["rARD 0", "rARD 1"])
-def test_an_automatic_release_goes_slowly_to_the_end_in_the_direction_of_rard(
-    bench: Bench, word: int, end_mm: float
-) -> None:
-    bench.write(0x0900, 120, 0xFF00, after_s=2.0)
-    before_mm = bench.width_mm
-    bench.write(word, 0, 0, after_s=1.0)
-    assert bench.fault == 0x0B
-    assert bench.flags == 0x01, "gSTA 0, gGTO 0"
-    assert abs(bench.width_mm - before_mm) == pytest.approx(20.0, abs=1.0), "at 20 mm/s"
-    bench.write(0x0900, 120, 0xFF00, after_s=10.0)
-    assert bench.fault == 0x0F
-    assert bench.width_mm == end_mm, "rATR overrides everything but rACT"
-    bench.write(0x0100, 0, 0, after_s=1.0)
-    assert bench.flags & 0x30 == 0, "it must be reset first"
-    bench.write(0, 0, 0)
-    bench.write(0x0100, 0, 0, after_s=4.0)
-    assert bench.flags & 0x3F == 0x31
-
-
-def test_an_automatic_release_frees_the_object_though_the_power_was_lost(bench: Bench) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
-    bench.registers.lose_power(bench.now_s)
-    bench.write(0x3100, 0, 0, after_s=5.0)
-    assert (bench.width_mm, bench.force_n, bench.fault) == (85.0, 0.0, 0x0F)
-    assert bench.registers.activations == 1
-
-
-@pytest.mark.parametrize("code", [0x0A, 0x0C])
-def test_what_cannot_move_has_no_automatic_release(bench: Bench, code: int) -> None:
-    bench.write(0x0900, 120, 0xFF00, after_s=2.0)
-    before_mm = bench.width_mm
-    bench.registers.fault = code
-    bench.write(0x3100, 0, 0, after_s=2.0)
-    assert (bench.width_mm, bench.fault) == (before_mm, code)
-
-
-@pytest.mark.parametrize("after_power_loss", [0, 1])
-def test_without_power_the_screw_holds_and_ract_must_rise_again(bench: Bench, after_power_loss: int) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
-    before_n = bench.force_n
-    bench.registers.action_after_power_loss = after_power_loss
-    bench.registers.lose_power(bench.now_s)
-    bench.wait(1.0)
-    assert bench.registers.stage is ActivationStage.OFF
-    assert bench.force_n == before_n
-    assert (bench.flags, bench.fault) == (after_power_loss, 0x05 * after_power_loss)
-    bench.write(0x0100, 0, 0, after_s=1.0)
-    assert ("released" in bench.events) is not bool(after_power_loss), "only an edge of rACT activates"
 
 
 def test_the_position_has_no_reference_without_power_and_another_calibration_with_each_activation() -> None:
@@ -271,34 +270,6 @@ def test_the_position_has_no_reference_without_power_and_another_calibration_wit
     assert len(closed) > 3
     assert min(closed) >= 225
     assert max(closed) <= 235
-
-
-@pytest.mark.parametrize(("force", "width_mm"), [(0x80, 30.0), (0x00, 40.0)], ids=["force", "force 0"])
-def test_it_closes_on_where_an_object_yields_unless_the_force_is_0(bench: Bench, force: int, width_mm: float) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF00 | force, after_s=2.0)
-    bench.jaws.object_mm = 30.0
-    bench.wait(1.0)
-    assert bench.width_mm == width_mm
-    assert bench.force_n > 0.0 or force == 0
-
-
-def test_the_force_setting_does_not_limit_the_begin_of_a_motion(bench: Bench) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF00, after_s=2.0)
-    assert bench.force_n == pytest.approx(20.0), "the motion began long before the object"
-    bench.write(0x0100, 0xFF, 0xFF01)
-    bench.write(0x0900, 0xFF, 0xFF01, after_s=2.0)
-    assert bench.force_n == pytest.approx(20.0 + RAMP_N_S * OVERRIDE_S)
-
-
-def test_a_removed_object_is_noticed(bench: Bench) -> None:
-    bench.jaws.object_mm = 40.0
-    bench.write(0x0900, 0xFF, 0xFF80, after_s=2.0)
-    bench.jaws.object_mm = None
-    bench.wait(0.1)
-    assert bench.force_n == 0.0
-    assert "empty" in bench.events
 
 
 @pytest.fixture

@@ -30,7 +30,7 @@ from slipguard.diagnosis import CheckResult, note
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq.byte_line import ByteLine, host_and_port
 from slipguard_drivers.robotiq.registers import SLAVE_ID, FingerMotion, RobotiqCommand, RobotiqStatus
-from slipguard_drivers.robotiq.transport import GripperTransport
+from slipguard_drivers.robotiq.transport import UNMEASURED_TIMEOUT_S, GripperTransport
 
 READ_ORDER = ("PRE", "POS", "FLT", "ACT", "GTO", "STA", "OBJ")
 """Numbers of several digits come first: responses need no end mark, so the rest of a torn one is noticed by what
@@ -88,6 +88,7 @@ class UrcapConnection(GripperTransport):
         self._received, self._in_step = b"", True
         if self._slave_id == SLAVE_ID:
             return
+        self.timeout_s = max(self.timeout_s, UNMEASURED_TIMEOUT_S)
         try:
             async with self._lock:
                 await self._set({"SID": self._slave_id}, asyncio.get_running_loop().time() + 2.0 * self.timeout_s)

@@ -70,6 +70,12 @@ def digit(dev: Path, **settings: Any) -> dict[str, CheckResult]:
     return {result.check: result for result in found}
 
 
+def test_the_force_latency_says_what_it_means_for_slip() -> None:
+    observed = gripper.check_latency(0.2).observed
+    assert "after about 200 ms" in observed
+    assert "turns 2.0 to 7.4 degrees" in observed
+
+
 def test_a_digit_with_everything_in_order(dev: Path) -> None:
     plug_in(dev.parent / "sys", 0, "D20001", "1-1")
     plug_in(dev.parent / "sys", 1, "D20002", "2-1")
