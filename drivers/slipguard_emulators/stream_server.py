@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import struct
 from collections.abc import Callable, Coroutine
@@ -49,8 +50,8 @@ class StreamServer:
             self._listening = self._bind()
         except OSError as error:
             raise InputError(
-                f"cannot listen on {self.path} ({error.strerror or error}); name another port, or another address "
-                "of this machine, such as 127.0.0.2"
+                f"cannot listen on {self.path} ({os.strerror(error.errno or 0)}); name another port, or another "
+                "address of this machine, such as 127.0.0.2"
             ) from None
         self._listening.setblocking(False)
         if not isinstance(self._address, Path):

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import asyncio
+import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 
 import pytest
 from pydantic import ValidationError
 from robotiq_rig import OBJECT_MM, put, until, until_it_rests
+from ur_scene import own_address
 
+from slipguard.config import read_config
 from slipguard.devices import DriverContext
 from slipguard.errors import CommandRefused, DeviceError, DeviceLost, DeviceTimeout
 from slipguard_drivers.robotiq.gripper import RobotiqGripper
+from slipguard_emulators.cell.emulator import CellEmulator
 from slipguard_emulators.robotiq.emulator import URCAP_FAULTS, RobotiqEmulator
 from slipguard_emulators.robotiq.urcap import UrcapPort
 
@@ -266,3 +270,19 @@ async def test_the_emulated_urcap_follows_its_grammar(requests: list[bytes], res
                 await asyncio.sleep(0.005)
             assert await reader.readexactly(len(response)) == response
             writer.close()
+
+
+@pytest.mark.parametrize("wiring", ["usb", "forwarder", "urcap"])
+async def test_the_configuration_of_an_emulated_cell_names_its_gripper(wiring: str) -> None:
+    with tempfile.TemporaryDirectory(prefix="sg") as folder:
+        options = {"folder": folder, "gripper": wiring, "host": own_address(92), "object": "none", "activated": True}
+        cell = CellEmulator(CellEmulator.Settings.model_validate(options))
+        await cell.start()
+        config = await asyncio.to_thread(read_config, cell.places.config)
+        gripper = RobotiqGripper(config.gripper.settings, DriverContext("gripper"))  # type: ignore[arg-type]
+        await gripper.open()
+        await gripper.move(30.0, 40.0)
+        now_s = asyncio.get_running_loop().time
+        await until(lambda: cell.world.gripper_state(now_s()).width_mm == pytest.approx(30.0, abs=2.0))
+        await gripper.close()
+        await cell.stop()
