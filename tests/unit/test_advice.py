@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
 SOURCES = [
     *(ROOT / "slipguard").rglob("*.py"),
     *(ROOT / "drivers").glob("slipguard_drivers/**/*.py"),
+    *(ROOT / "drivers").glob("slipguard_client/*.py"),
     *(ROOT / "drivers").glob("slipguard_ros/slipguard_ros/*.py"),
     *(ROOT / "drivers").glob("lerobot_*/lerobot_*/*.py"),
 ]
