@@ -100,7 +100,7 @@ def _follow(state: GraspState, fused: FusedEstimate, observation: Observation, p
     load = load.set_down() if lowers else load
     lifts = state.phase is Phase.LIFTING and not load.hangs
     settled = _at_rest(state, observation) and fused.captured_at_s >= load.jaws_moved_s + IMPRINT_S
-    load = load.gripped(state.grip.target_n) if settled else load
+    load = load.gripped(state.grip.target_n) if settled else replace(load, level_mm=math.inf)
     rests = arm is not None and not arm.moving and state.held.slip is None
     motion, moved = load.motion.followed(fused, rests=rests, settled=settled, sure=lifts)
     if fused.slides and settled and not lowers:  # by an unknown distance: slip

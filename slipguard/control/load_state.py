@@ -98,7 +98,7 @@ class LoadState:
         at_limit: position at which the gripper first held with the force limit; None: it does not.
         far_frames: frames in a row in which the object has rotated too far.
         lowest_mm: lowest height of the arm since the grip. level_mm, level: height and position from which the arm has
-            risen without moving the object.
+            risen without moving the object, since the force last changed.
         hangs: the whole load has arrived.
         tightened: the grip was tightened for this load. learned: this grasp has shown the gel's stiffness.
     """

@@ -262,22 +262,6 @@ def earlier_grasps(scenario: GripScenario, count: int) -> list[GripScenario]:
     return found
 
 
-def scaled(item: SimObject, needed_n: float, friction: float, gel: SoftPad) -> SimObject:
-    """Return the object with this friction and the mass and inertia for which it needs this force, to 1e-9."""
-    density = item.inertia_kg_m2 / item.mass_kg
-
-    def of(mass_kg: float) -> SimObject:
-        return replace(item, mass_kg=mass_kg, inertia_kg_m2=density * mass_kg, friction=friction)
-
-    low, high = 0.0, 1.0
-    while needed_force_n(of(high), gel) < needed_n:
-        high *= 2.0
-    while high - low > 1e-9 * high:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if needed_force_n(of(middle), gel) < needed_n else (low, middle)
-    return of(high)
-
-
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from records import changed
@@ -10,13 +11,12 @@ from records import changed
 from slipguard.bench.grip.closed_loop import STEP_S, ClosedLoop
 from slipguard.bench.grip.controllers import SlipguardController
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors
-from slipguard.bench.grip.scenarios import scaled
 from slipguard.control.control_step import ControlState
 from slipguard.control.messages import ControlRequest, RequestKind, StepOutput
 from slipguard.control.params import GuardParams
 from slipguard.control.state import Phase
 from slipguard.devices import FINGERS
-from slipguard.sim.friction import SoftPad
+from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.scenario import Scenario
 from slipguard.sim.sim_object import SimObject
 from slipguard.sim.world import World
@@ -32,6 +32,22 @@ def bar(needed_n: float, gel: SoftPad, offset_mm: float = 100.0, friction: float
         inertia_kg_m2=(offset_mm * 1e-3) ** 2 / 3, friction=friction, press_mm=1.0,
     )  # fmt: skip
     return scaled(plain, needed_n, friction, gel)
+
+
+def scaled(item: SimObject, needed_n: float, friction: float, gel: SoftPad) -> SimObject:
+    """Return the object with this friction and the mass and inertia for which it needs this force, to 1e-9."""
+    density = item.inertia_kg_m2 / item.mass_kg
+
+    def of(mass_kg: float) -> SimObject:
+        return replace(item, mass_kg=mass_kg, inertia_kg_m2=density * mass_kg, friction=friction)
+
+    low, high = 0.0, 1.0
+    while needed_force_n(of(high), gel) < needed_n:
+        high *= 2.0
+    while high - low > 1e-9 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed_force_n(of(middle), gel) < needed_n else (low, middle)
+    return of(high)
 
 
 class Run:

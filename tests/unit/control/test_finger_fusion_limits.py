@@ -177,14 +177,6 @@ def test_one_finger_rotates_alone(
     assert answer.captured_at_s == 8.0
 
 
-@pytest.mark.parametrize("bad", [{"rotation_deg": float("nan")}, {"sigma_deg": -1.0}])
-def test_no_numbers_leave_nothing_behind(bad: dict[str, float]) -> None:
-    answer = fuse(changed(LEFT, **bad), None)  # type: ignore[arg-type]
-    assert answer == FusedEstimate(
-        True, None, 8.0, 7.5, declined="left finger: not a number; right finger: no frames", newest_at_s=7.5
-    )
-
-
 def test_a_rotation_without_a_sigma_is_none() -> None:
     answer = fuse(changed(LEFT, sigma_deg=None), RIGHT)
     assert answer is not None

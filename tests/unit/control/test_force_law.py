@@ -141,6 +141,22 @@ def test_an_object_whose_far_end_rests_on_the_table_does_not_hang_and_rotates_no
     assert max(speeds) * 0.17 == pytest.approx(2.0, rel=0.25)
 
 
+def test_an_imprint_that_a_firmer_grip_turns_back_does_not_make_the_object_hang() -> None:
+    """Its far end rests on the table, and after the tightening the rotation is estimated half a degree smaller."""
+    play = lifting(LogNormal(0.02, 0.8))
+    for height_mm, rotation_deg, moving in (
+        (6.0, 1.0, False),
+        (6.2, 0.5, True),
+        (9.0, 0.95, False),
+        (11.6, 1.4, False),
+    ):
+        play.here = arm(height_mm, moving=False)
+        play.jaws = changed(play.jaws, moving=moving)
+        play.view = changed(play.view, rotation_deg=rotation_deg)
+        play.steps(0.06)
+    assert not play.grasp.held.load.hangs
+
+
 def test_what_the_fingers_differ_by_is_found_again_after_a_tightening() -> None:
     """A firmer grip moves the imprint in one of them; when the other is lost for a moment, nothing has moved."""
     motion, moved_mm = ContactMotion(noise=NOISE_LEAST), 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from controller_steps import GUARDED, NOW_S, PARAMS, seen_in, state_in
 from observations import arm, ask, gripper, observation
@@ -11,7 +12,7 @@ from records import grasp_state
 from slipguard.control.arm_motion import REPEAT_S
 from slipguard.control.control_step import step
 from slipguard.control.messages import RequestKind, StopArm
-from slipguard.control.state import Phase, Release, RememberedGrip
+from slipguard.control.state import GripperDelay, Phase, Release, RememberedGrip
 from slipguard.control.supervisor import Supervision, supervise
 
 
@@ -21,6 +22,17 @@ def test_a_new_phase_ends_pause_putting_down_and_release() -> None:
     assert (after.phase, after.since_s, after.release) == (Phase.HOLDING, NOW_S, None)
     assert (after.arm.paused, after.arm.putting_down) == (False, False)
     assert after.arm.goal_mm == before.arm.goal_mm
+
+
+def test_the_load_is_known_while_an_object_is_guarded() -> None:
+    guarded = state_in(Phase.HOLDING, load=GUARDED.moved((2.0, 0.0, 0.0), put_down=False))
+    assert 0.0 < (guarded.load_over_capacity or 0.0) < 1.0
+    assert replace(guarded, guarding=False).load_over_capacity is None
+    assert grasp_state().load_over_capacity is None
+
+
+def test_without_a_gripper_no_delay_is_measured() -> None:
+    assert GripperDelay().measured(1.0, None) == GripperDelay()
 
 
 def test_empty_jaws_after_a_restart_end_what_was_remembered() -> None:
