@@ -78,7 +78,8 @@ def _disturbed_rows(found: GripCampaignResult) -> dict[str, tuple[str, ...]]:
 
 
 def _cells(row: figures.ControllerRow) -> tuple[str, ...]:
-    slip = f"{row.slip_median_deg:.1f}/{row.slip_p95_deg:.1f}/{row.slip_worst_deg:.1f}"
+    slips = (row.slip_median_deg, row.slip_p95_deg, row.slip_worst_deg)
+    slip = "/".join(f"{one:.1f}" if one < 10.0 else f"{one:.0f}" for one in slips)
     force = f"{row.force_over_needed_median:.2f}/{row.force_over_needed_p95:.2f}"
     return slip, f"{row.drops}/{row.scenarios}", force
 
