@@ -23,6 +23,7 @@ from slipguard.errors import CommandRefused, ConfigError
 
 FRAME_WIDTH_PX = 240
 FRAME_HEIGHT_PX = 320
+FRAME_SHAPE = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
 FINGERS = ("left", "right")
 ACTIVATION_HINT = (
     "if it holds something, support that and release it; with empty jaws, covered gels and no hand near, run "
@@ -59,6 +60,14 @@ class Frame:
     image: NDArray[np.uint8]
     captured_at_s: float
     sequence: int
+
+
+def wrong_image(image: object) -> str | None:
+    """Return why a value is not the image of a frame; None if it is."""
+    if isinstance(image, np.ndarray) and image.shape == FRAME_SHAPE and image.dtype == np.uint8:
+        return None
+    found = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+    return f"{found}; it must be a numpy array, uint8 {FRAME_SHAPE}"
 
 
 @dataclass(frozen=True, slots=True)

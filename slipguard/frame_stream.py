@@ -7,13 +7,12 @@ import asyncio
 import numpy as np
 from numpy.typing import NDArray
 
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, Frame
+from slipguard.devices import Frame, wrong_image
 from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen
 
 BLACK, WHITE = 2, 253
 NOISE_SHARE_MIN = 0.01
 """Share of values between black and white from which on frames cannot be equal by chance: 2,300 values with noise."""
-SHAPE = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
 FROZEN_AFTER = 3
 """Repetitions in a row that count as a frozen camera. Fewer are the duplicates that USB cameras deliver now and then;
 they are skipped. Noise (1.5-2.9 gray levels) keeps real frames from being identical."""
@@ -42,8 +41,9 @@ class FrameStream:
 
     def put(self, image: NDArray[np.uint8], captured_at_s: float, sequence: int) -> None:
         """Take a frame. image: (320, 240, 3) uint8 BGR; it becomes read-only and is not copied."""
-        if image.shape != SHAPE or image.dtype != np.uint8:
-            self.damaged(f"{image.dtype} pixels of shape {image.shape} instead of uint8 {SHAPE}")
+        wrong = wrong_image(image)
+        if wrong is not None:
+            self.damaged(f"the image is {wrong}")
             return
         last = self._last
         if last is not None and sequence < last.sequence:

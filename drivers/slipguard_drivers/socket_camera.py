@@ -29,9 +29,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from slipguard.cancellation import cancel_and_wait
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, DriverContext, Frame, TactileSensor
+from slipguard.devices import FRAME_HEIGHT_PX, FRAME_SHAPE, FRAME_WIDTH_PX, DriverContext, Frame, TactileSensor
 from slipguard.errors import DeviceLost
-from slipguard.frame_stream import SHAPE, FrameStream
+from slipguard.frame_stream import FrameStream
 
 HEADER = struct.Struct("<4sHHIdQ")
 MAGIC = b"SGF1"
@@ -153,7 +153,7 @@ class SocketSensor(TactileSensor):
                 if header.damage is not None:
                     stream.damaged(header.damage)
                     continue
-                image = np.frombuffer(pixels, np.uint8).reshape(SHAPE)
+                image = np.frombuffer(pixels, np.uint8).reshape(FRAME_SHAPE)
                 stream.put(image, header.captured_at_s, header.sequence)
         except (asyncio.IncompleteReadError, OSError):
             stream.lose("the frame server closed the connection")

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from slipguard.daemon.loop.capture import FrameCounts
 from slipguard.daemon.loop.driver_values import checked_frame
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import TactileSensor
 from slipguard.diagnosis import CheckResult, note, ok, problem, problem_from_error
 from slipguard.doctor.gripper import describe_times
-from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, FrameCorrupt, FrameFrozen, InputError
+from slipguard.errors import DeviceError, DeviceLost, DeviceTimeout, InputError
 from slipguard.perception.image_quality import find_tear
 
 OBSERVE_S = 2.0
@@ -42,10 +43,7 @@ class FrameStatistics:
     captured_s: list[float] = field(default_factory=list)
     ages_s: list[float] = field(default_factory=list)
     sequences: list[int] = field(default_factory=list)
-    corrupt: int = 0
-    torn: int = 0
-    frozen: int = 0
-    stalled: int = 0
+    counts: FrameCounts = field(default_factory=FrameCounts)
     loss: str | None = None
     """Why the sensor was lost."""
 
@@ -97,9 +95,7 @@ async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics
         except DeviceError as error:
             if begin_s is None and isinstance(error, DeviceTimeout):
                 continue
-            statistics.corrupt += isinstance(error, FrameCorrupt)
-            statistics.frozen += isinstance(error, FrameFrozen)
-            statistics.stalled += isinstance(error, DeviceTimeout)
+            statistics.counts.add_error(error)
             continue
         if begin_s is None:
             begin_s, end_s = now_s + SETTLE_S, now_s + SETTLE_S + for_s
@@ -107,28 +103,27 @@ async def observe_frames(sensor: TactileSensor, for_s: float) -> FrameStatistics
             statistics.captured_s.append(frame.captured_at_s)
             statistics.ages_s.append(loop.time() - frame.captured_at_s)
             statistics.sequences.append(frame.sequence)
-            statistics.torn += last is not None and find_tear(frame.image, last) is not None
+            statistics.counts.torn += last is not None and find_tear(frame.image, last) is not None
             last = frame.image
     return statistics
 
 
 def check_frames(statistics: FrameStatistics, configured_hz: float | None) -> Iterator[CheckResult]:
     """Check rate, losses and age of the frames."""
-    replug = "unplug the sensor and plug it in again"
+    counts, replug = statistics.counts, "unplug the sensor and plug it in again"
     if statistics.loss is not None:
         yield problem("frames", f"the sensor was lost: {statistics.loss}", "check its cable and the USB port")
-    elif statistics.frozen and statistics.rate_hz < 1.0:
+    elif counts.frozen and statistics.rate_hz < 1.0:
         yield problem("frames", "the sensor repeats the same image", replug)
-    elif statistics.corrupt and statistics.rate_hz < 1.0:
+    elif counts.corrupt and statistics.rate_hz < 1.0:
         action = "try another cable or port, without a hub"
-        yield problem("frames", f"all {statistics.corrupt} frames damaged", action)
+        yield problem("frames", f"all {counts.corrupt} frames damaged", action)
     elif not statistics.captured_s:
         yield problem("frames", f"no frame within {FIRST_FRAME_S:g} s", replug)
     else:
-        interruptions = statistics.frozen + statistics.stalled
         yield check_rate(statistics.rate_hz, configured_hz)
-        yield check_losses(len(statistics.sequences), statistics.missed, statistics.corrupt, interruptions)
-        yield check_torn(statistics.torn, len(statistics.sequences))
+        yield check_losses(len(statistics.sequences), statistics.missed, counts.corrupt, counts.frozen + counts.stalled)
+        yield check_torn(counts.torn, len(statistics.sequences))
         yield ok("frame age", f"{describe_times(statistics.ages_s)} from the time stamp to reception")
 
 

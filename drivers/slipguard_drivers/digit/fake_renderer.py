@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from slipguard.devices import FRAME_SHAPE
 from slipguard.errors import DeviceLost, DeviceTimeout
-from slipguard.frame_stream import SHAPE
 from slipguard.sim.gel_camera import GelCamera
 from slipguard.sim.gel_view import GelView, encode_view
 from slipguard.sim.height_raster import height_raster_of
@@ -200,4 +200,4 @@ class ProcessRenderer(Renderer):
             return
         raw = self._memory[slot * IMAGE_BYTES : (slot + 1) * IMAGE_BYTES]
         self._free.append(slot)
-        done(np.frombuffer(bytearray(raw), np.uint8).reshape(SHAPE))
+        done(np.frombuffer(bytearray(raw), np.uint8).reshape(FRAME_SHAPE))

@@ -7,12 +7,9 @@ from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, TypeVar
 
-import numpy as np
-
-from slipguard.devices import FRAME_HEIGHT_PX, FRAME_WIDTH_PX, ArmState, Frame, GripperState
+from slipguard.devices import ArmState, Frame, GripperState, wrong_image
 
 S = TypeVar("S", GripperState, ArmState)
-SHAPE = (FRAME_HEIGHT_PX, FRAME_WIDTH_PX, 3)
 AHEAD_MAX_S = 1.0
 """A state from further in the future has the time of another clock: its silence would never be noticed."""
 
@@ -63,10 +60,9 @@ def checked_frame(frame: Any) -> Frame:
     """Return the frame of a sensor. Raises TypeError or ValueError with what is not valid."""
     if not isinstance(frame, Frame):
         raise TypeError(f"next_frame() returned {type(frame).__name__}, not Frame")
-    image = frame.image
-    if not isinstance(image, np.ndarray) or image.shape != SHAPE or image.dtype != np.uint8:
-        got = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-        raise TypeError(f"next_frame().image is {got}; it must be a numpy array, uint8 {SHAPE}")
+    wrong = wrong_image(frame.image)
+    if wrong is not None:
+        raise TypeError(f"next_frame().image is {wrong}")
     if not _is_number(frame.captured_at_s):
         raise ValueError(f"next_frame().captured_at_s is {frame.captured_at_s!r}; it must be a finite number")
     if not isinstance(frame.sequence, int):

@@ -154,7 +154,7 @@ def test_torn_frames_of_a_sensor_are_counted() -> None:
 
     statistics = run_virtual(observe())
     assert len(statistics.sequences) > 50
-    assert 5 < statistics.torn < 30
+    assert 5 < statistics.counts.torn < 30
 
 
 def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
