@@ -8,20 +8,9 @@ from __future__ import annotations
 import contextlib
 import os
 
-from slipguard.errors import SlipguardError
-
 FIRST, SECOND = 2, 1
 """Real-time priorities of the loop and of its workers, so that a waking loop interrupts a worker. They are the two
 lowest: above all programs without real-time priority, and below the kernel's own threads."""
-
-
-def set_realtime_priority() -> None:
-    """Set the loop's real-time priority for this thread and those it starts. Raises SlipguardError if not permitted."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(FIRST))
-    except OSError as error:
-        reason = f"real-time priority {FIRST} is not permitted ({error.strerror})"
-        raise SlipguardError(f"{reason}; run as root, or permit it with `ulimit -r {FIRST}`") from None
 
 
 def set_worker_priority() -> None:

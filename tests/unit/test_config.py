@@ -98,11 +98,6 @@ def test_a_typo_names_the_nearest_key() -> None:
     assert "left.mounting: no such key; did you mean 'mounting_deg'?" in complaint({"left": {"mounting": 0}})
 
 
-def test_a_typo_in_a_drivers_table_names_that_table() -> None:
-    text = complaint({"left": {"driver": "fake", "fake": {"drow": "inline"}}})
-    assert "left.fake.drow: no such key; did you mean 'draw'?" in text
-
-
 @pytest.mark.parametrize(
     ("raw", "expected"),
     [

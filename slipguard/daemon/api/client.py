@@ -168,6 +168,8 @@ class Client:
         except InvalidStatus as refused:
             reason = refused.response.body.decode(errors="replace") or f"HTTP {refused.response.status_code}"
             raise SlipguardError(f"the daemon at {self._shown} refused {path}: {reason}") from None
+        except TimeoutError:
+            raise SlipguardError(f"the daemon at {self._shown} did not respond to {path} in time") from None
         except (OSError, WebSocketException) as error:
             raise DaemonNotRunning(f"{NO_DAEMON.format(self._shown)} ({error})") from None
 

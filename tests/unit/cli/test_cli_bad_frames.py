@@ -11,11 +11,7 @@ import pytest
 from command_line import slipguard
 from sampled import sampled
 
-from slipguard.devices import Frame
-from slipguard.errors import FrameCorrupt, SlipguardError
-from slipguard.perception.pipeline import Pipeline
-from slipguard.perception.segmenter import Segmenter, default_model_path
-from slipguard.perception.settings import PerceptionSettings
+from slipguard.perception.segmenter import default_model_path
 
 KEYS = {
     "frame", "contact", "contact_area_px", "angle_deg", "orientation_deg",
@@ -148,40 +144,3 @@ def test_a_folder_that_cannot_be_written_to(
     ran = slipguard(capfd, "measure", background, "--background", background, "--json", option, tmp_path / "file/x.png")
     assert str(tmp_path / "file") in ran.complaint
     assert ran.code == 2
-
-
-HOSTILE = {
-    "NaN": np.full((320, 240, 3), np.nan, np.float32),
-    "one NaN": np.where(np.arange(320 * 240 * 3).reshape(320, 240, 3) == 5, np.nan, 90.0),
-    "infinite": np.full((320, 240, 3), np.inf, np.float64),
-    "objects": np.full((320, 240, 3), None, object),
-    "gray": np.full((320, 240), 90, np.uint8),
-    "RGBA": np.full((320, 240, 4), 90, np.uint8),
-    "1x1": np.full((1, 1, 3), 90, np.uint8),
-    "none": np.empty((0, 0, 3), np.uint8),
-    "16-bit": np.full((320, 240, 3), 9000, np.uint16),
-    "on its side": np.full((240, 320, 3), 90, np.uint8),
-}
-
-
-@pytest.mark.parametrize("kind", HOSTILE)
-@pytest.mark.parametrize("known", [True, False], ids=["with background", "without"])
-def test_the_pipeline_refuses_invalid_frames_and_continues(kind: str, known: bool) -> None:
-    pipeline = Pipeline(Segmenter(), PerceptionSettings(), gel(9) if known else None, None, 18.5)
-    with pytest.raises(FrameCorrupt):
-        pipeline.process(Frame(HOSTILE[kind], 0.0, 0))
-    assert not pipeline.process(Frame(gel(1), 0.1, 1)).contact or not known
-    with pytest.raises(SlipguardError):
-        Pipeline(Segmenter(), PerceptionSettings(), HOSTILE[kind], None, 18.5)
-
-
-@pytest.mark.parametrize("level", [0, 255])
-def test_a_dark_or_overexposed_camera_never_gives_an_angle(level: int) -> None:
-    pipeline = Pipeline(Segmenter(), PerceptionSettings(), gel(9), None, 18.5)
-    for number in range(12):
-        try:
-            response = pipeline.process(Frame(np.full((320, 240, 3), level, np.uint8), 0.03 * number, number))
-        except FrameCorrupt:
-            continue
-        assert response.rotation_deg is None
-        assert response.orientation_deg is None

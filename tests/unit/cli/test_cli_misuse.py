@@ -177,13 +177,6 @@ def test_invalid_device_settings_are_named(
     assert output in slipguard(capfd, "check", "--config", path).complaint
 
 
-def test_check_reports_the_maximum_force_of_the_gripper(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / "cell.toml"
-    shipped = (Path(__file__).parents[3] / "config.toml").read_text()
-    path.write_text(shipped.replace('"2F-85" ', '"2F-140"'))
-    assert "this gripper applies at most 125 N" in slipguard(capfd, "check", "--config", path).out
-
-
 @pytest.mark.parametrize("words", [("--sim",), ("bench", "--quick")])
 def test_out_on_a_file_is_refused_before_anything_runs(
     words: tuple[str, ...], capfd: pytest.CaptureFixture[str], tmp_path: Path
@@ -204,14 +197,6 @@ def test_without_arguments_there_is_help_with_an_example(capfd: pytest.CaptureFi
     assert ran.err == ""
 
 
-@pytest.mark.parametrize("group", ["ctl", "dataset"])
-def test_a_group_without_a_command_shows_its_help(group: str, capfd: pytest.CaptureFixture[str]) -> None:
-    ran = slipguard(capfd, group)
-    assert ran.code == 2
-    assert f"slipguard {group}" in ran.out
-    assert "Traceback" not in ran.err
-
-
 @pytest.mark.parametrize(
     "command",
     ["state", "grasp", "lift", "stop", "guard on", "release --yes", "clear", "gripper --width-mm 60", "calibrate"],
@@ -220,12 +205,6 @@ def test_ctl_without_a_daemon_says_how_to_start_one(command: str, capfd: pytest.
     ran = slipguard(capfd, "ctl", *command.split())
     assert "start it with `slipguard run`" in ran.complaint
     assert ran.code == 1
-
-
-def test_ctl_with_a_path_that_is_not_a_socket(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for place in ("file", "file/below", "x" * 200):
-        assert slipguard(capfd, "ctl", "state", "--socket", tmp_path / place).complaint
 
 
 def test_a_disk_error_is_one_line(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -13,14 +13,10 @@ import cv2
 import numpy as np
 import pytest
 
-from slipguard.bench import run as bench
 from slipguard.cli import evaluate
 from slipguard.cli.app import run
 from slipguard.control.messages import HoldForce, StepOutput
 from slipguard.errors import SlipguardError
-from slipguard.sim.gel_camera import GelCamera
-from slipguard.sim.gel_view import GelView
-from slipguard.sim.sensor_unit import SensorUnit
 from slipguard.tools import replay as lab
 
 EMULATED = {
@@ -46,21 +42,6 @@ def test_emulate(emulator: str, tmp_path: Path) -> None:
         assert 'mode = "guard"' in (tmp_path / "cell" / "config.toml").read_text()
 
 
-def test_measure_plots_its_results(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    camera = GelCamera(SensorUnit(), seed=7)
-    for name, view in (("bg", GelView("", depth_mm=-1.0)), ("bar", GelView("bar", angle_deg=20.0, depth_mm=0.8))):
-        cv2.imwrite(str(tmp_path / f"{name}.png"), camera.draw(view))
-    plot, masks = tmp_path / "rotation.png", tmp_path / "masks"
-    words = ["measure", tmp_path / "bar.png", "--background", tmp_path / "bg.png", "--json", "--masks", masks]
-    assert run([str(word) for word in (*words, "--plot", plot)]) == 0
-    assert [json.loads(line)["contact"] for line in capfd.readouterr().out.splitlines()] == [True]
-    assert plot.stat().st_size > 1000
-    (mask,) = masks.iterdir()
-    drawn = cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE)
-    assert drawn is not None
-    assert drawn.any()
-
-
 @pytest.mark.parametrize(("differs", "code"), [(True, 1), (False, 0)])
 def test_replay_against_fails_if_commands_differ(
     differs: bool, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -79,19 +60,6 @@ def test_replay_against_fails_if_commands_differ(
     assert run(["replay", "kept", "--model", "other.onnx"]) == 1
     assert "no frame was processed, so the network was not used" in capsys.readouterr().err
     assert requested == [None, Path("other.onnx")]
-
-
-def test_bench_full_compares_further_networks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    requested: list[bench.BenchOptions] = []
-
-    def benched(options: bench.BenchOptions, show: object) -> None:
-        requested.append(options)
-        raise SlipguardError("that was enough")
-
-    monkeypatch.setattr(bench, "bench", benched)
-    assert run(["bench", "--full", "--models", str(tmp_path)]) == 1
-    assert run(["bench", "--quick"]) == 1
-    assert [(one.quick, one.models) for one in requested] == [(False, tmp_path), (True, None)]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from slipguard.sim.world import World
 from slipguard.sim_lifts import campaign
 from slipguard.sim_lifts.campaign import CampaignSettings
 from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
-from slipguard.sim_lifts.report import print_lines, print_tables, record_line
+from slipguard.sim_lifts.report import print_lines, print_tables
 
 SUMMARY = {
     "lifts", "held", "dropped", "refused", "turn_error_lifts", "turn_error_mean_deg", "turn_error_worst_object_deg",
@@ -92,15 +92,6 @@ def test_the_table_fits_80_columns() -> None:
     assert "bar (heavy)" in text
     assert "screwdriver dropped: rotated more than 60 deg" in text
     assert "p50 8.0 ms, p99 11.8 ms" in " ".join(text.split())
-
-
-def test_a_missing_value_is_a_dash() -> None:
-    declined = record("ball", "held")
-    declined.fused.clear()
-    row = next(line for line in printed([declined], 80, realtime=False).splitlines() if line.startswith("ball"))
-    assert row.split() == ["ball", "-44.1", "–", "–", "–", "128/66", "held", "–", "–", "12"]
-    line = record_line(declined, realtime=False)
-    assert (line["measured_turn_deg"], line["turn_error_deg"], line["latency_p99_ms"]) == (None, None, None)
 
 
 def test_a_campaign_without_frames_gives_valid_json(capfd: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,8 +13,6 @@ from typer.testing import CliRunner
 
 from slipguard.cli.ctl import app
 from slipguard.daemon.api import paths
-from slipguard.daemon.api.client import DaemonNotRunning
-from slipguard.daemon.api.paths import running_socket
 from slipguard.daemon.api.requests import (
     ActivateRequest,
     CalibrateRequest,
@@ -120,50 +117,6 @@ async def test_a_refusal_is_raised(daemon: FakeDaemonApi, tmp_path: Path) -> Non
     daemon.failure = CommandRefused("cannot lift while idle")
     with pytest.raises(CommandRefused, match="cannot lift while idle"):
         await ctl(daemon, tmp_path, "lift")
-
-
-def test_without_a_daemon(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["state", "--socket", str(tmp_path / "s")])
-    assert isinstance(result.exception, DaemonNotRunning)
-    assert "start it with `slipguard run`" in str(result.exception)
-
-
-@pytest.mark.parametrize("words", [[], ["guard"], ["guard", "maybe"], ["grasp", "--force-n", "-1"], ["nothing"]])
-def test_misuse_is_exit_code_2(words: list[str]) -> None:
-    assert CliRunner().invoke(app, words).exit_code == 2
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        *("state", "grasp", "lift", "lower", "stop", "guard", "gripper", "release", "activate", "fingertips", "clear"),
-        "calibrate",
-    ],
-)
-def test_help_has_an_example(command: str) -> None:
-    output = CliRunner().invoke(app, [command, "--help"]).output
-    assert f"slipguard ctl {command}" in " ".join(output.split())
-
-
-async def test_the_refusal_is_one_line_and_exit_code_1(daemon: FakeDaemonApi, tmp_path: Path) -> None:
-    """The whole program, in its own process."""
-    daemon.failure = CommandRefused("cannot clear: no fault is latched")
-    async with served(daemon, tmp_path / "s") as path:
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "slipguard", "ctl", "clear", "--socket", str(path)),
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.PIPE,
-            env=os.environ | {"HOME": str(tmp_path)},
-        )
-        output, errors = await process.communicate()
-    assert process.returncode == 1
-    assert output == b""
-    assert errors.decode() == "slipguard: refused: cannot clear: no fault is latched\n"
-
-
-def test_where_the_daemon_is_searched(tmp_path: Path) -> None:
-    assert running_socket(environ={"HOME": str(tmp_path)}) == tmp_path / ".local/state/slipguard/slipguard.sock"
-    assert running_socket(environ={"RUNTIME_DIRECTORY": "/run/x", "HOME": "/h"}) == Path("/run/x/slipguard.sock")
 
 
 async def over_tcp(folder: Path, daemon: FakeDaemonApi, *words: str, token: str | None = TOKEN) -> tuple[int, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -20,20 +19,15 @@ from slipguard.daemon.api.state import FingerState
 from slipguard.daemon.loop.capture import FrameCounts
 from slipguard.daemon.loop.device_health import Health
 from slipguard.daemon.loop.gel_condition import GelCondition, GelStatus
-from slipguard.daemon.loop.virtual_time import run_virtual
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.daemon.store.state_dir import StateDir
-from slipguard.devices import DriverContext, GripperState
+from slipguard.devices import GripperState
 from slipguard.diagnosis import CheckResult, CheckStatus, Diagnosable, ok, problem, problem_from_error
 from slipguard.doctor import gripper, machine, run_checks, sensor, through_daemon
 from slipguard.errors import DeviceLost
 from slipguard.perception.background import GelChange
-from slipguard.sim.gel_view import GelView
-from slipguard.sim.world import World
 from slipguard_drivers.digit.diagnostics import RULES, check_digit
-from slipguard_drivers.digit.fake import FakeSensor
 from slipguard_drivers.digit.stream_setup import DigitSettings
-from slipguard_drivers.robotiq.serial_port import check_adapter
 
 
 def plug_in(sysfs: Path, number: int, serial: str, port: str, *, release: str = "0212", speed: str = "480") -> None:
@@ -113,12 +107,6 @@ def test_a_camera_of_another_group(dev: Path, monkeypatch: pytest.MonkeyPatch) -
     assert "usermod -aG" in denied.action
 
 
-def test_the_adapters_latency_timer() -> None:
-    assert check_adapter(None).status is check_adapter(1).status is CheckStatus.OK
-    assert check_adapter(16).status is CheckStatus.NOTE
-    assert "60-slipguard.rules" in check_adapter(16).action
-
-
 @pytest.mark.parametrize(
     ("rate_hz", "asked_hz", "status"), [(59.2, 60.0, "ok"), (44.0, 60.0, "problem"), (29.9, None, "ok")]
 )
@@ -137,24 +125,6 @@ def test_losses(came: int, lost: int, damaged: int, interruptions: int, status: 
 @pytest.mark.parametrize(("torn", "status"), [(0, "ok"), (2, "note"), (6, "problem")])
 def test_torn_frames(torn: int, status: str) -> None:
     assert sensor.check_torn(torn, 120).status == status
-
-
-def test_torn_frames_of_a_sensor_are_counted() -> None:
-    async def observe() -> sensor.FrameStatistics:
-        world = World(seed=3)
-        camera = FakeSensor(FakeSensor.Settings(draw="inline"), DriverContext("left", world))
-        pose = GelView("wrench", depth_mm=0.5)
-        world.view = lambda finger, now_s: replace(pose, angle_deg=200.0 * now_s)  # type: ignore[method-assign]
-        model = world.camera("left")
-        world.camera = lambda finger: replace(model, tear_probability=0.4)  # type: ignore[method-assign]
-        await camera.open()
-        statistics = await sensor.observe_frames(camera, 1.0)
-        await camera.close()
-        return statistics
-
-    statistics = run_virtual(observe())
-    assert len(statistics.sequences) > 50
-    assert 5 < statistics.counts.torn < 30
 
 
 def test_the_age_of_a_no_contact_image(tmp_path: Path) -> None:
@@ -192,11 +162,6 @@ def test_a_state_folder_that_cannot_be(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     assert machine.check_state_folder(tmp_path / "file" / "state").status is CheckStatus.PROBLEM
     assert machine.check_state_folder(tmp_path / "new" / "state").status is CheckStatus.OK
-
-
-def test_one_core_is_noted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.sched_getaffinity", lambda pid: {0})
-    assert machine.check_processor().status is CheckStatus.NOTE
 
 
 def test_what_to_do_comes_out_of_our_own_errors() -> None:

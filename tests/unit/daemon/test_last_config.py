@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from slipguard.config import Config, file_content, parse_config, read_config
-from slipguard.daemon.store.last_config import last_config_path, read_or_last
+from slipguard.daemon.store.last_config import read_or_last
 from slipguard.errors import ConfigError
 
 SHIPPED = Path(__file__).parents[3] / "config.toml"
@@ -31,11 +31,6 @@ def test_the_content_of_a_configuration_is_read_back_as_the_same_configuration()
     assert parse_config(stored, where="test") == config
 
 
-def test_a_valid_file_is_used(kept: Path) -> None:
-    config = read_config(SHIPPED)
-    assert read_or_last(lambda: config, kept) == (config, None)
-
-
 def test_with_an_invalid_file_the_last_configuration_is_used_and_both_are_named(kept: Path) -> None:
     config, problem = read_or_last(invalid, kept)
     assert config == read_config(SHIPPED)
@@ -55,10 +50,3 @@ def test_without_a_usable_last_configuration_the_files_error_is_reported(content
         kept.write_text(content)
     with pytest.raises(ConfigError, match=r"guard\.forse: no such key"):
         read_or_last(invalid, kept)
-
-
-def test_by_hand_the_files_error_is_reported() -> None:
-    assert last_config_path({}) is None
-    assert last_config_path({"STATE_DIRECTORY": "/var/lib/a:/var/lib/b"}) == Path("/var/lib/a/last_config.json")
-    with pytest.raises(ConfigError, match=r"guard\.forse: no such key"):
-        read_or_last(invalid, None)

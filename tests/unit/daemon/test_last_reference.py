@@ -120,19 +120,6 @@ async def test_the_rotation_before_a_growing_contacts_reference_is_stored_apart(
     assert known.rotation_deg + known.earlier_rotation_deg == pytest.approx(16.5, abs=0.5)
 
 
-async def test_a_full_disk_is_reported_once(tmp_path: Path) -> None:
-    class Full(ReferenceStore):
-        def save(self, finger: str, serial: str, known: StoredReference) -> None:
-            raise OSError(28, "No space left on device")
-
-    reported: list[str] = []
-    finger = Finger(pipeline())
-    saver = ReferenceSaver(Full(tmp_path), {"left": finger}, reported.append, reported.append)  # type: ignore[dict-item]
-    finger.sees(0.0)
-    await settled(saver, *[decision(Phase.HOLDING)] * 4)
-    assert reported == ["the references could not be saved for a restart: No space left on device; check the disk"]
-
-
 async def test_references_are_saved_again_on_a_repaired_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slipguard.daemon.store.disk_writer.RETRY_S", 3600.0)
     disk = {"full": True, "writes": 0}

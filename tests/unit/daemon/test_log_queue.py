@@ -104,23 +104,6 @@ def test_messages_of_libraries_take_the_same_way(monkeypatch: pytest.MonkeyPatch
     assert (line["event"], line["level"], line["logger"]) == ("Task left was destroyed", "error", "asyncio")
 
 
-def test_a_process_without_stderr_logs_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stderr", None)
-    configure()
-    structlog.get_logger().warning("the grip slips")
-    assert flush(30.0)
-
-
-def test_a_closed_queue_takes_no_line() -> None:
-    written = list[str]()
-    queue = LogQueue[str](written.append, lambda lines, blocked_s: None)
-    queue.put("one")
-    queue.close(30.0)
-    queue.put("two")
-    assert queue.flush(30.0)
-    assert written == ["one"]
-
-
 def test_no_error_of_the_output_ends_the_thread() -> None:
     written, release = list[str](), threading.Event()
 

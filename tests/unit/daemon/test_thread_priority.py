@@ -5,33 +5,17 @@ from __future__ import annotations
 import errno
 import os
 import subprocess
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-import structlog
 
-from slipguard.cli.app import run
-from slipguard.errors import SlipguardError
 from slipguard.thread_priority import (
-    FIRST,
     SECOND,
     set_batch_priority,
     set_normal_priority,
-    set_realtime_priority,
     set_worker_priority,
 )
-
-UNTIL_IT_STANDS_BACK = """
-import os, runpy, sys
-module, *heavy = sys.argv[1:]
-def stands_back(*asked):
-    print("stands back, with", [name for name in heavy if name in sys.modules], flush=True)
-    os._exit(0)
-os.sched_setscheduler = stands_back
-runpy.run_module(module, run_name="__main__")
-"""
 
 
 def standing() -> tuple[int, int]:
@@ -57,32 +41,6 @@ def test_normal_priority_applies_to_the_threads_and_processes_that_are_started()
         assert back.submit(standing).result()[0] == os.SCHED_OTHER
 
 
-@pytest.mark.parametrize("module", ["slipguard.web", "slipguard_drivers.digit.render_process"])
-def test_batch_processes_set_their_priority_before_heavy_imports(module: str) -> None:
-    heavy = ("asyncio", "cv2", "fastapi", "numpy", "slipguard.sim", "starlette", "structlog", "uvicorn")
-    output = subprocess.check_output((sys.executable, "-c", UNTIL_IT_STANDS_BACK, module, *heavy), text=True)
-    assert output == "stands back, with []\n"
-
-
-def test_a_forbidden_priority_change_has_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = standing()
-    monkeypatch.setattr(os, "sched_setscheduler", forbidden)
-    set_batch_priority(7)
-    assert standing() == before
-
-
-def test_the_loop_gets_the_second_lowest_realtime_priority(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[int, int, int]] = []
-
-    def noted(pid: int, policy: int, how: os.sched_param) -> None:
-        asked.append((pid, policy, how.sched_priority))
-
-    monkeypatch.setattr(os, "sched_setscheduler", noted)
-    set_realtime_priority()
-    assert asked == [(0, os.SCHED_RR, FIRST)]
-    assert os.sched_get_priority_min(os.SCHED_RR) == SECOND < FIRST
-
-
 def test_workers_get_the_lowest_realtime_priority(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, int]] = []
     monkeypatch.setattr(os, "sched_setparam", lambda pid, how: asked.append((pid, how.sched_priority)))
@@ -94,18 +52,6 @@ def test_workers_get_the_lowest_realtime_priority(monkeypatch: pytest.MonkeyPatc
     assert asked == [(0, SECOND)]
     monkeypatch.setattr(os, "sched_setparam", forbidden)
     set_worker_priority()
-
-
-def test_refused_realtime_priority_is_an_error_that_says_what_to_do(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(os, "sched_setscheduler", forbidden)
-    with pytest.raises(SlipguardError, match=r"Operation not permitted.*root"):
-        set_realtime_priority()
-    assert run(["latency", "--as-service"]) != 0
-    (line,) = capsys.readouterr().err.strip().splitlines()
-    assert "ulimit -r 2" in line
-    structlog.reset_defaults()  # the command has configured the log
 
 
 def forbidden(*asked: object) -> None:

@@ -31,7 +31,7 @@ from slipguard.recording import messages as m
 from slipguard.recording.reader import StoredImage, StoredMessage, open_recording
 from slipguard.recording.recorder import RecordedCycle, RecordedFrame, RecordedMessage, Recorder, RecorderSettings
 from slipguard.recording.ring import Ring, RingLimits
-from slipguard.recording.writer import RecordingClock, RecordingHeader
+from slipguard.recording.writer import RecordingHeader
 
 LIMITS = RingLimits(100, 10**9, 10**9)
 
@@ -210,18 +210,6 @@ def test_kept_files_are_limited(tmp_path: Path) -> None:
     assert [path.name for path in sorted((tmp_path / "kept").iterdir())] == kept, "none makes room for an older one"
 
 
-def test_kept_files_are_limited_at_once(tmp_path: Path) -> None:
-    one = Recorder(
-        Ring(tmp_path, RingLimits(100, 10**9, 1)),
-        RecorderSettings("none", segment_s=1.0, keep_before_s=5.0),
-        lambda: CLOCK,
-        header=lambda: HEADER,
-        on_trouble=lambda text: None,
-    )
-    play(one, np.arange(0.0, 4.75, 0.25), keep_at=4.5)
-    assert [path.name for path in (tmp_path / "kept").iterdir()] == [one.path.name if one.path else None]
-
-
 def test_unfinished_files_of_a_killed_daemon_are_kept(tmp_path: Path) -> None:
     ring = Ring(tmp_path, LIMITS)
     written(ring.new(CLOCK.wall_ns), 100).abandon()
@@ -251,21 +239,6 @@ def test_files_dated_in_the_future_are_deleted_first(tmp_path: Path) -> None:
     kept = [ring.keep(path) for path in new[1:3]]
     ring.tidy()
     assert sorted((tmp_path / "kept").iterdir()) == kept
-
-
-def test_every_file_reads_the_wall_clock(tmp_path: Path) -> None:
-    clocks = iter((RecordingClock(0, 0.0), *[CLOCK] * 9))  # a computer without the time, until it is set
-    one = Recorder(
-        Ring(tmp_path, LIMITS),
-        RecorderSettings("none", segment_s=1.0),
-        lambda: next(clocks),
-        header=lambda: HEADER,
-        on_trouble=lambda text: None,
-    )
-    play(one, np.arange(0.0, 2.0, 0.25))
-    first, second = sorted((tmp_path / "ring").iterdir())
-    assert (first.name[:8], second.name[:15]) == ("19700101", "20231114T221321")
-    assert next(item.at_ns for item in open_recording(second).items()) == CLOCK.ns(1.0)
 
 
 def test_any_other_failure_stops_the_recording_but_not_its_thread(

@@ -281,11 +281,3 @@ def test_a_slip_soon_after_a_restart_keeps_files_from_before_it(
     one.recorder.stop()
     assert names(tmp_path / "kept")[1:] == ["b.mcap", "c.mcap"]
     assert names(tmp_path / "ring") == ["a.mcap"]
-
-
-def test_a_disk_that_reports_no_size_is_usable(tmp_path: Path, playing: Callable[..., Playing]) -> None:
-    one = playing(Ring(tmp_path, LIMITS, lambda path: (0, 0, 0)))
-    one.play(0.0, 1.0)
-    one.recorder.stop()
-    assert one.reported == []
-    assert len(names(tmp_path / "ring")) == 1

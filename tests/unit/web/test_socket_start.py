@@ -59,15 +59,6 @@ def test_of_two_starts_over_a_stale_socket_one_binds(tmp_path: Path, monkeypatch
     assert not path.exists()
 
 
-def test_many_starts_over_a_stale_socket(tmp_path: Path) -> None:
-    path = tmp_path / "slipguard.sock"
-    for _ in range(40):
-        leave_stale_socket(path)
-        bound, refused = start_two(path)
-        assert (len(bound), len(refused)) == (1, 1)
-        bound[0].close()
-
-
 def test_a_daemon_that_ends_leaves_the_socket_of_the_next_one(tmp_path: Path) -> None:
     path = tmp_path / "slipguard.sock"
     old = bind(path)

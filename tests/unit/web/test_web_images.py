@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -14,13 +13,10 @@ from fake_daemon_api import FakeDaemonApi, served_on_tcp
 from numpy.typing import NDArray
 
 from slipguard.daemon.api.daemon_api import ContactOverlay, FingerFrame
-from slipguard.devices import Frame
 from slipguard.errors import CommandRefused
 from slipguard.perception.patch import ClippedSides
 from slipguard.web import images as pictures_module
-from slipguard.web.app import make_app
-from slipguard.web.images import AXIS_BGR, CONTOUR_BGR, SKELETON_BGR, FingerImages, draw_contact
-from slipguard.web.route_context import RouteContext
+from slipguard.web.images import CONTOUR_BGR, SKELETON_BGR, FingerImages, draw_contact
 
 GREY = np.full((320, 240, 3), 90, np.uint8)
 
@@ -57,13 +53,6 @@ def test_axis_skeleton_and_contour_lie_on_the_contact(angle_deg: float) -> None:
     found_deg = np.degrees(np.arctan2(along[1], along[0]))
     assert abs((found_deg - angle_deg + 90.0) % 180.0 - 90.0) < 3.0
     assert (GREY == 90).all(), "drawn into a copy"
-
-
-def test_without_an_axis_only_skeleton_and_contour_are_drawn() -> None:
-    drawn = draw_contact(GREY, contact_of(bar(0.0), None))
-    assert points(drawn, AXIS_BGR).size == 0
-    assert points(drawn, CONTOUR_BGR).size > 0
-    assert points(drawn, SKELETON_BGR).size > 0
 
 
 def test_a_contact_at_the_edge_can_be_drawn() -> None:
@@ -114,44 +103,3 @@ async def test_over_http(tmp_path: Path) -> None:
         daemon.failure = CommandRefused("no frame of the left finger: unplugged")
         refused = await http.get("/image/left")
         assert (refused.status_code, refused.json()["error"]) == (409, str(daemon.failure))
-
-
-def test_a_frame_without_contact_has_no_overlay() -> None:
-    plain = pictures_module.encode_jpeg_with_overlay(FingerFrame("D1", Frame(GREY, 0.0, 1)))
-    assert plain == pictures_module.encode_jpeg(FingerFrame("D1", Frame(GREY, 0.0, 1), contact_of(bar(0.0), 0.0)))
-
-
-async def test_simultaneous_clients_cause_one_call_to_the_daemon() -> None:
-    at_once, most = 0, 0
-    requested: Counter[str] = Counter()
-
-    class Counting(FakeDaemonApi):
-        async def health_problem(self) -> str | None:
-            requested["trouble"] += 1
-            return await super().health_problem()
-
-        async def backgrounds(self) -> bytes:
-            requested["no_contacts"] += 1
-            return await super().backgrounds()
-
-        async def background(self, finger: str, number: int | None = None) -> FingerFrame:
-            nonlocal at_once, most
-            at_once += 1
-            most = max(most, at_once)
-            await asyncio.sleep(0.01)
-            at_once -= 1
-            return await super().background(finger, number)
-
-    room = RouteContext(Counting())
-    transport = httpx.ASGITransport(make_app(room))
-    async with httpx.AsyncClient(transport=transport, base_url="http://s") as http:
-        paths = ["/healthz", "/background", "/background/left", "/background/right?number=1"] * 5
-        responses = await asyncio.gather(*(http.get(path) for path in paths))
-        assert {response.status_code for response in responses} == {200}
-        assert most == 1
-        before = requested["no_contacts"]
-        assert before < 5
-        assert (await http.post("/clear")).status_code == 200
-        assert (await http.get("/background")).status_code == 200
-        assert requested["no_contacts"] == before + 1
-    assert requested["trouble"] < 5

@@ -11,8 +11,7 @@ from fake_daemon_api import FakeDaemonApi
 from hosted_api import hosted
 
 from slipguard.daemon.api.requests import DaemonRequest
-from slipguard.web.daemon_endpoint import CONCURRENT_CALLS_MAX
-from slipguard.web.middleware import CLIENTS_MAX, UNKNOWN_STREAMS_MAX
+from slipguard.web.middleware import CLIENTS_MAX
 
 
 class BusyDaemon(FakeDaemonApi):
@@ -44,7 +43,3 @@ async def test_a_stop_is_served_while_all_places_are_taken(tmp_path: Path) -> No
             assert not any(one.done() for one in waiting)
             daemon.free.set()
             assert {answer.status_code for answer in await asyncio.gather(*waiting)} == {200}
-
-
-def test_the_web_process_never_uses_up_the_daemons_calls() -> None:
-    assert CONCURRENT_CALLS_MAX > 2 * CLIENTS_MAX + UNKNOWN_STREAMS_MAX
