@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from slipguard.daemon.loop.worker import FixedLatencyWorker
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
-from slipguard.devices import DriverContext, Frame
+from slipguard.devices import FRAME_SHAPE, DriverContext, Frame
 from slipguard.errors import InputError
-from slipguard.frame_stream import SHAPE
 from slipguard.perception.estimate import Estimate
 from slipguard.sim.cell import WorldTruth
 from slipguard.sim.world import World
@@ -56,7 +55,7 @@ class NumberedImages:
         self.shown.pop(self.count - 100, None)
         row = GEL_ROW + np.uint8(60 * (self.count % 2) if self.flickers else 0)
         row[0] = tuple(self.count.to_bytes(3, "little"))
-        done(np.broadcast_to(row, SHAPE))
+        done(np.broadcast_to(row, FRAME_SHAPE))
 
     def truth(self, image: Image) -> WorldTruth:
         return self.shown[int.from_bytes(image[0, 0].tobytes(), "little")]
@@ -185,7 +184,7 @@ class Memory:
     """A store of background images in memory."""
 
     def __init__(self, *serials: str) -> None:
-        blank = np.zeros(SHAPE, np.uint8)
+        blank = np.zeros(FRAME_SHAPE, np.uint8)
         self.kept = {serial: BackgroundImage(blank, (2.0, 2.0, 2.0), 30) for serial in serials}
 
     def load_background(self, serial: str, number: int | None = None) -> BackgroundImage | None:

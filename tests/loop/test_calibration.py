@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from loop_cell import Cell, on_cell, play
-from loop_doubles import SHAPE
 from pydantic import ValidationError
 
 from slipguard.control.state import Phase
@@ -18,6 +17,7 @@ from slipguard.daemon.api.handlers import RequestHandlers
 from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, MoveJawsRequest, RestoreBackgroundRequest
 from slipguard.daemon.store.background_images import FRAMES, BackgroundImage, average_background
 from slipguard.daemon.store.state_dir import StateDir
+from slipguard.devices import FRAME_SHAPE
 from slipguard.errors import CommandRefused, ConfigError, InputError
 
 
@@ -168,7 +168,7 @@ async def test_a_full_disk_is_reported_with_the_stored_images_which_stay_in_use(
 
 
 def taken(level: int) -> BackgroundImage:
-    return BackgroundImage(np.full(SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
+    return BackgroundImage(np.full(FRAME_SHAPE, level, np.uint8), (2.0, 2.0, 2.0), 30)
 
 
 def with_history(tmp_path: Path, scene: Callable[[Cell, RequestHandlers, StateDir], Coroutine[Any, Any, None]]) -> None:
