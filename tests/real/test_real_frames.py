@@ -68,7 +68,7 @@ def test_indenter_video(real_data: Path, tmp_path: Path, split: str) -> None:
 def test_a_frame_of_the_source_paper_without_its_background(real_data: Path, tmp_path: Path) -> None:
     frames = of(real_data, "aurova", "test")
     found = masks_of([real_data / "aurova" / "frame.png"], None, tmp_path, independent=True)
-    # 0.75 was aimed at; models/README.md says what was tried and what is missed. This keeps what was reached.
+    # The faint lower third of a broad, smooth bulge is missed.
     assert mean_iou(frames, found) >= 0.68
 
 
