@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from skimage.morphology import skeletonize
 
 from slipguard.bench.pipelines import (
     NO_SKIP,
@@ -187,13 +188,13 @@ def _masks() -> list[NDArray[np.uint8]]:
 
 
 def compare_thinning(masks: list[NDArray[np.uint8]], repeats: int = 3) -> ThinningResult:
-    """Measure slipguard's thinning and OpenCV's: the minimum of some repeats, the median over masks."""
+    """Measure slipguard's thinning, OpenCV's and scikit-image's: the minimum of some repeats, the median over masks."""
 
     def opencv(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
         lines = cv2.ximgproc.thinning(mask * np.uint8(255), thinningType=cv2.ximgproc.THINNING_GUOHALL)
         return np.asarray(lines > 0, np.uint8)
 
-    def median_ms(implementation: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> float:
+    def median_ms(implementation: Callable[[NDArray[np.uint8]], object]) -> float:
         def spent_ms(mask: NDArray[np.uint8]) -> float:
             began_s = time.perf_counter()
             implementation(mask)
@@ -201,9 +202,11 @@ def compare_thinning(masks: list[NDArray[np.uint8]], repeats: int = 3) -> Thinni
 
         return float(np.median([min(spent_ms(mask) for _ in range(repeats)) for mask in masks]))
 
-    own_ms, cv2_ms = median_ms(thin), median_ms(opencv)
+    own_ms = median_ms(thin)
+    others_ms = {"cv2": median_ms(opencv), "scikit-image": median_ms(skeletonize)}
     different = sum(int(np.count_nonzero(opencv(mask) != (thin(mask) > 0))) for mask in masks)
-    return ThinningResult("240×320", len(masks), own_ms, {"cv2": cv2_ms}, {"cv2": cv2_ms / own_ms}, different)
+    ratios = {name: ms / own_ms for name, ms in others_ms.items()}
+    return ThinningResult("240×320", len(masks), own_ms, others_ms, ratios, different)
 
 
 def _notes(quick: bool, held: SceneOutcome) -> list[str]:
