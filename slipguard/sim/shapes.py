@@ -34,17 +34,9 @@ def disc(u: Field, v: Field, radius: float, at: Point = (0.0, 0.0)) -> Field:
     return f32(np.hypot(u - np.float32(at[0]), v - np.float32(at[1])) - np.float32(radius))
 
 
-def box(
-    u: Field,
-    v: Field,
-    half_u: float,
-    half_v: float,
-    at: Point = (0.0, 0.0),
-    corner: float = 0.0,
-    angle_deg: float = 0.0,
-) -> Field:
-    u, v = rotated(u, v, angle_deg, at) if angle_deg else (u - np.float32(at[0]), v - np.float32(at[1]))
-    x, y = np.abs(u) - np.float32(half_u - corner), np.abs(v) - np.float32(half_v - corner)
+def box(u: Field, v: Field, half_u: float, half_v: float, at: Point = (0.0, 0.0), corner: float = 0.0) -> Field:
+    x = np.abs(u - np.float32(at[0])) - np.float32(half_u - corner)
+    y = np.abs(v - np.float32(at[1])) - np.float32(half_v - corner)
     outside = np.hypot(np.maximum(x, 0), np.maximum(y, 0))
     return f32(outside + np.minimum(np.maximum(x, y), 0) - np.float32(corner))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slipguard.errors import InputError
+from slipguard.sim import catalogue_test
 from slipguard.sim.catalogue import find_object, object_names
 from slipguard.sim.friction import SoftPad, needed_force_n
 from slipguard.sim.height_raster import height_raster_of
@@ -23,7 +24,7 @@ def manifest_sha256() -> str:
     axis = np.arange(-12, 13, dtype=np.float32)
     u, v = np.meshgrid(axis, -axis)
     digest = hashlib.sha256()
-    for item in map(find_object, object_names("test")):
+    for item in catalogue_test.OBJECTS:
         heights = np.rint(np.maximum(item.height_mm(u, v), -1.5) * 100).astype("<i2")
         mechanics = (item.mass_kg, item.com_offset_mm, item.inertia_kg_m2, item.friction, item.press_mm, item.width_mm)
         digest.update(f"{item.name} {item.split} {item.axial} {mechanics!r}\n".encode())
