@@ -26,8 +26,6 @@ GRAY = np.full((320, 240, 3), 90, np.uint8)
 QUIET = replace(SensorUnit(), noise_bgr=(0.0, 0.0, 0.0), stripe_bgr=(0.0, 0.0, 0.0), dome_share=0.0)
 
 
-
-
 def axis_deg(mask: NDArray[np.bool_]) -> float:
     """Orientation of a patch as a viewer sees it, counter-clockwise from the right."""
     rows, columns = np.nonzero(mask)
