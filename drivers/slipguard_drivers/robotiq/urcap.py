@@ -189,14 +189,17 @@ class UrcapConnection(GripperTransport):
             raise self._connection_lost()
         if loop.time() + self.timeout_s > deadline_s:
             raise DeviceTimeout(f"{self._name}: {self._address} is too slow for another request; try again")
-        self._expected, self._response = expected, loop.create_future()
+        response: asyncio.Future[re.Match[bytes]] = loop.create_future()
+        self._expected, self._response = expected, response
         try:
             self._line.write(request.encode())
-            async with asyncio.timeout(self.timeout_s):
-                return await self._response
-        except TimeoutError:
+            await asyncio.wait([response], timeout=self.timeout_s)
+            if not response.done():
+                self._line.receive()  # what arrived during a late cycle of the loop
+            if response.done():
+                return response.result()
             self._in_step = False
-            raise DeviceTimeout(f"{self._name}: {self._problem()}") from None
+            raise DeviceTimeout(f"{self._name}: {self._problem()}")
         except OSError:
             raise self._connection_lost() from None
         finally:
