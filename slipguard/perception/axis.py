@@ -32,6 +32,8 @@ SMALLEST_PX = 40
 ROUND_ASPECT = 1.15
 SIGMA_MAX_DEG = 6.0
 """Default limits of the configuration."""
+LINE_ASPECT = 2.2
+"""A skeleton is a line from this ratio of its length to its width on, r.m.s."""
 CORNER_SLOPE = 0.5
 """Along a line of the skeleton the distance to the contour changes by the sine of half the angle between the two sides
 that it bisects: 0.7 towards a right corner, near 0 along a bar. A steeper line is a branch into a corner."""
@@ -160,10 +162,10 @@ def _fit_skeleton(patch: Patch) -> _Ellipse | None:
         return None
     # The line has no width: its semi-axes are those of the bar whose middle it is.
     half_width_px, half_length_px = float(line.max()), math.sqrt(3.0) / 2.0 * fit.long_px
-    if half_length_px < 0.5 * half_width_px:  # a corner branch that was kept
-        half_length_px = 0.0
+    if half_length_px < 0.5 * half_width_px or fit.long_px < LINE_ASPECT * fit.short_px:
+        half_length_px = 0.0  # a corner branch that was kept, or branches that are no line
     long_px = half_length_px + half_width_px
-    return _Ellipse(fit.angle_deg, fit.x_px, fit.y_px, long_px, half_width_px, fit.short_px / 4.0)
+    return _Ellipse(fit.angle_deg, fit.x_px, fit.y_px, long_px, half_width_px, fit.short_px / 2.0)
 
 
 _FITS = {
