@@ -44,8 +44,8 @@ STIFFNESS_RADIUS_M = 6e-3
 """Contact radius at which the stiffness of a gel is stated."""
 FRICTION, FRICTION_SPREAD = 0.5, 0.35
 """Of objects on the gel: median, and standard deviation of the logarithm. No figure for DIGITs is published."""
-STIFFNESS_SPREAD_LEAST = 0.25
-"""However many grasps it was learned from: gels wear."""
+STIFFNESS_SPREAD_LEAST = 0.5
+"""However many grasps it was learned from: it depends on the shape of the contact, too, and gels wear."""
 SHARE, SHARE_SPREAD = 0.3, 0.45
 """Load over capacity of an object that the first grip holds: median, and spread of the logarithm."""
 LOAD_PRIOR = 0.8
