@@ -69,6 +69,18 @@ def test_an_unplugged_sensor_is_reported_at_once(machine: Machine) -> None:
     pytest.fail(f"unplugged, and reported only after {seen['after_s']:.3f} s")
 
 
+@pytest.mark.parametrize("unplugged_s", [0.5, 2.5])
+def test_a_sensor_that_is_plugged_in_again_continues(machine: Machine, unplugged_s: float) -> None:
+    for attempt in range(ATTEMPTS):
+        with machine.undisturbed():
+            seen = machine.play("scenes:replug", unplugged_s=unplugged_s)
+        print(f"attempt {attempt}: {seen}")
+        assert seen["gone"]
+        if seen["again_s"] <= 2.0:
+            return
+    pytest.fail(f"plugged in again, and frames only after {seen['again_s']:.1f} s")
+
+
 def test_the_sensor_contract_holds_on_a_real_kernel(machine: Machine) -> None:
     seen = machine.play("scenes:contract", limit_s=300.0)
     assert seen["failed"] == 0, seen["says"]

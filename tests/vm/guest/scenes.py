@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from plug import attach, modprobe, settle
 
+from slipguard.daemon.loop.capture import SensorCapture, StreamRestarts
 from slipguard.devices import DriverContext, Frame
 from slipguard.errors import DeviceError, DeviceLost
 from slipguard_drivers.digit.camera import DigitSensor
@@ -209,6 +210,28 @@ async def faults(pixels: str, nodrop: int = 1) -> dict[str, Any]:
         await good(sensor, 5)
         await sensor.close()
     return expected
+
+
+async def replug(unplugged_s: float) -> dict[str, object]:
+    """A cable comes loose while the daemon captures, and is plugged in again after a while."""
+    async with emulated() as emulator:
+        capture = SensorCapture("left", digit(fps=30), 0.5, StreamRestarts(), lambda serial: None, lambda: None)
+        running = asyncio.create_task(capture.run())
+        try:
+            await until(lambda: capture.counts.frames > 10)
+            emulator.control("fault unplug")
+            await until(lambda: not capture.streaming)
+            await asyncio.sleep(unplugged_s)
+            gone = not await asyncio.to_thread(connected_digits)
+            emulator.control("clear")
+            before = capture.counts.frames
+            await attach(emulator.port)
+            again_s = await until(lambda: capture.counts.frames > before)
+        finally:
+            running.cancel()
+            await asyncio.gather(running, return_exceptions=True)
+            await capture.close()
+        return {"gone": gone, "again_s": again_s}
 
 
 async def unplug() -> dict[str, object]:
