@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, LiftRequest
 from slipguard.daemon.loop.async_tools import Backoff, Ticker
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop, run_virtual
+from slipguard.daemon.loop.worker import ThreadWorker
 from slipguard.errors import CommandRefused
 
 PERIOD_S = 0.01
@@ -160,3 +162,45 @@ def test_back_off_doubles_up_to_ten_times_and_starts_again() -> None:
         return [*pauses, loop.time() - start_s]
 
     assert run_virtual(scenario()) == pytest.approx([0.5, 1, 2, 4, 5, 5, 0.5])
+
+
+@pytest.mark.parametrize(("latency_s", "waited_share"), [(0.5, None), (1e6, 0.5)], ids=["late", "without a processor"])
+@on_cell("wrench", 1)
+async def test_late_processing_is_named_after_the_machine(
+    cell: Cell, latency_s: float, waited_share: float | None
+) -> None:
+    await cell.grasp()
+    for worker in cell.workers.values():
+        worker.latency_s = latency_s
+        worker.waited_s = lambda: waited_share and waited_share * cell.now_s  # type: ignore[method-assign]
+    fault = await cell.faulted(FaultCode.MACHINE_BUSY, 1.0)
+    assert "frames arrive, but are processed" in fault.observed
+
+
+async def test_a_thread_that_hangs_does_not_wait_for_a_processor() -> None:
+    worker, hangs, goes_on = ThreadWorker("test"), threading.Event(), threading.Event()
+
+    def hang(_: object) -> bool:
+        hangs.set()
+        return goes_on.wait()
+
+    task = asyncio.create_task(worker.run(hang, None))
+    await asyncio.to_thread(hangs.wait)
+    await asyncio.sleep(0.02)
+    before_s = worker.waited_s()
+    await asyncio.sleep(0.05)
+    after_s = worker.waited_s()
+    goes_on.set()
+    await task
+    worker.close()
+    assert after_s == before_s is not None
+
+
+@on_cell("wrench", 1)
+async def test_cameras_that_stall_after_the_machine_was_busy_are_named(cell: Cell) -> None:
+    await cell.grasp()
+    stand_still(0.2)
+    await asyncio.sleep(2.0)
+    for name in ("left", "right"):
+        cell.world.faults.fail(name, "stall")
+    await cell.faulted(FaultCode.FRAMES_LOST, 1.0)

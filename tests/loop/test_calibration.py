@@ -12,9 +12,16 @@ import pytest
 from loop_cell import Cell, on_cell, play
 from pydantic import ValidationError
 
+from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
 from slipguard.daemon.api.handlers import RequestHandlers
-from slipguard.daemon.api.requests import CalibrateRequest, GraspRequest, MoveJawsRequest, RestoreBackgroundRequest
+from slipguard.daemon.api.requests import (
+    CalibrateRequest,
+    GraspRequest,
+    GuardRequest,
+    MoveJawsRequest,
+    RestoreBackgroundRequest,
+)
 from slipguard.daemon.store.background_images import FRAMES, BackgroundImage, average_background
 from slipguard.daemon.store.state_dir import StateDir
 from slipguard.devices import FRAME_SHAPE
@@ -198,5 +205,38 @@ def test_an_older_one_is_put_to_use_again_and_the_pipeline_built_with_it(tmp_pat
             await handlers.submit(RestoreBackgroundRequest(finger="left", number=9))
         with pytest.raises(ValidationError):
             RestoreBackgroundRequest.model_validate({"finger": "thumb", "number": 1})
+
+    with_history(tmp_path, scene)
+
+
+@on_cell(guard={"mode": "guard"})
+async def test_it_is_refused_while_the_gripper_is_held_by_another_program(cell: Cell) -> None:
+    await cell.ready()
+    await cell.submit(GuardRequest(on=False))
+    await cell.submit(MoveJawsRequest(width_mm=0.0, force_n=30.0))
+    await cell.until(lambda: cell.truth.in_contact)
+    await asyncio.sleep(1.0)
+    assert cell.phase is Phase.IDLE
+    with pytest.raises(CommandRefused, match="is moving, holding or closed; support what it holds, then open the jaws"):
+        await cell.submit(CalibrateRequest())
+
+
+@on_cell(make=uncalibrated)
+async def test_nothing_is_stored_if_something_is_gripped_meanwhile(cell: Cell) -> None:
+    await cell.ready()
+    asked = asyncio.create_task(cell.submit(CalibrateRequest()))
+    await asyncio.sleep(0.1)
+    await cell.service.request(ControlRequest(RequestKind.GRASP))
+    with pytest.raises(CommandRefused, match="cannot calibrate while"):
+        await asked
+    assert cell.store.kept == {}
+
+
+def test_no_older_one_is_put_to_use_while_something_is_held(tmp_path: Path) -> None:
+    async def scene(cell: Cell, handlers: RequestHandlers, store: StateDir) -> None:
+        await cell.grasp()
+        with pytest.raises(CommandRefused, match="cannot calibrate while holding; support the object, then release it"):
+            await handlers.submit(RestoreBackgroundRequest(finger="left", number=1))
+        assert len(store.background_versions("SIM-L")) == 2
 
     with_history(tmp_path, scene)

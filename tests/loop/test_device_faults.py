@@ -214,3 +214,17 @@ async def test_without_cameras_the_jaws_open_but_no_finger_sees_the_object_go(ce
     await asyncio.sleep(0.5)
     await cell.submit(ClearRequest())
     assert cell.phase is Phase.IDLE
+
+
+@pytest.mark.parametrize("kind", ["frozen", "corrupt", "stall"])
+@on_cell()
+async def test_a_sensor_that_delivers_nothing_good_is_opened_again(cell: Cell, kind: str) -> None:
+    await cell.ready()
+    cell.world.faults.fail("left", kind)
+    await asyncio.sleep(1.5)
+    assert cell.sensors["left"].opened == 1
+    await asyncio.sleep(2.0)
+    assert cell.sensors["left"].opened == 2
+    cell.world.faults.repair("left")
+    await cell.until(lambda: not cell.service.waiting_for, 1.0)
+    assert cell.sensors["right"].opened == 1

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import structlog
 from loop_cell import Cell, on_cell, play
+from loop_doubles import FlatSensor
 from sampled import sampled
 from structlog.testing import capture_logs
 
@@ -183,3 +184,73 @@ def test_an_observer_that_raises_is_named_and_counted_and_the_guard_goes_on(obse
     ]
     reported = any("cannot be recorded; the guard goes on" in line for line in cell.service.event_log.lines)
     assert reported is (observed != "events"), "an event about a failing listener would be the next one to fail"
+
+
+@pytest.mark.parametrize("error", sampled(FAILURES))
+@pytest.mark.parametrize("method", ["next_frame", "open", "close"])
+@on_cell("wrench", 1)
+async def test_a_sensor_that_raises_is_named_and_the_other_finger_guards_on(
+    cell: Cell, method: str, error: BaseException
+) -> None:
+    await cell.grasp()
+    sensor = cell.sensors["left"]
+    setattr(sensor, method, raising(error))
+    if method != "next_frame":
+        cell.world.faults.fail("left", "disconnect")
+        await asyncio.sleep(0.2)
+        cell.world.faults.repair("left")
+    await asyncio.sleep(1.5)
+    assert reported(cell, "left", "loop_doubles.FlatSensor (test_driver_failures.py, line ")
+    await cell.lift()
+    assert cell.phase is Phase.HOLDING
+    delattr(sensor, method)
+    await cell.until(lambda: not cell.service.waiting_for, 3.0)
+
+
+@on_cell()
+async def test_one_exception_of_a_pipeline_costs_one_frame(cell: Cell) -> None:
+    await cell.grasp()
+    finger, pipeline = cell.service.fingers["left"], cell.perceivers["left"][-1]
+
+    def fail_once(frame: object) -> None:
+        del pipeline.process
+        raise ZeroDivisionError
+
+    pipeline.process = fail_once  # type: ignore[assignment,method-assign]
+    await cell.until(lambda: finger.newest is None, 1.0)
+    await cell.until(lambda: finger.newest is not None, 0.1)
+    assert cell.phase is Phase.HOLDING
+
+
+@on_cell()
+async def test_a_state_of_the_wrong_type_is_an_error_of_the_driver(cell: Cell) -> None:
+    async def state() -> dict[str, float]:
+        return {"width_mm": 20.0}
+
+    await cell.grasp()
+    cell.gripper.state = state  # type: ignore[assignment,method-assign]
+    wrong = "loop_doubles.LoggedGripper: TypeError: state() returned dict, not GripperState"
+    await cell.until(lambda: reported(cell, "gripper", wrong), 1.0)
+
+
+@on_cell()
+async def test_remarks_that_raise_are_shown_as_an_error_of_the_driver(cell: Cell) -> None:
+    class Sensor(FlatSensor):
+        @property
+        def remarks(self) -> tuple[str, ...]:
+            return (None,)[1]  # type: ignore[return-value]
+
+    await cell.ready()
+    cell.sensors["left"].__class__ = Sensor
+    (remark,) = cell.handlers.snapshot().fingers["left"].remarks
+    assert remark.startswith("error in test_driver_failures.")
+    assert "IndexError" in remark
+
+
+def test_a_cancelled_error_of_an_observer_does_not_cancel_the_loop() -> None:
+    def use_cancelled_future(value: int) -> None:
+        raise asyncio.CancelledError
+
+    observers: Observers[int] = Observers(use_cancelled_future)
+    observers.notify(1)
+    assert observers.errors == 1

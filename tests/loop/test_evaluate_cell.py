@@ -215,6 +215,17 @@ def test_if_the_external_camera_is_lost_the_object_is_lowered_and_released_befor
     assert not list((tmp_path / "out" / "lifts").iterdir())
 
 
+def test_a_release_that_is_not_confirmed_keeps_the_grip(tmp_path: Path, state: Path) -> None:
+    bench = Bench(state, tmp_path / "out", confirms=False)
+    with pytest.raises(
+        SlipguardError, match="stopped before the release; the arm is stopped and the grip is kept"
+    ) as e:
+        run_virtual(bench.run())
+    assert "start `slipguard run`, support the object, then `slipguard ctl release`" in str(e.value)
+    assert abs(bench.lifted_mm) < 1.0
+    assert bench.holds()
+
+
 @pytest.mark.parametrize("by", ["Ctrl-C", "timeout"])
 def test_an_end_during_the_lift_stops_the_arm_and_keeps_the_grip(
     tmp_path: Path, state: Path, monkeypatch: pytest.MonkeyPatch, by: str

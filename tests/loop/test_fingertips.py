@@ -7,11 +7,12 @@ import json
 from typing import Any
 
 import pytest
-from loop_cell import Cell, play
+from loop_cell import Cell, on_cell, play
 
 from slipguard.control.reports import FaultCode
 from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ClearRequest, DaemonRequest, GraspRequest, MoveJawsRequest
+from slipguard.errors import CommandRefused
 from slipguard.tools.fingertips import FingertipMeasurement, describe
 
 TIP_MM = 15.0
@@ -95,3 +96,17 @@ def test_the_measurement_finds_where_the_gels_touch_and_opens_again(mode: str) -
     assert widths[0] > 2 * TIP_MM + 5.0
     moves = [value for _, what, value in cell.gripper.commands if what == "move"]
     assert len(moves) == 1 + len(widths)
+
+
+@on_cell(watched=False)
+async def test_the_measurement_needs_empty_jaws_and_both_fingers(cell: Cell) -> None:
+    await cell.grasp()
+    with pytest.raises(CommandRefused, match="support what they hold, then release"):
+        await measure(cell, [])
+    assert cell.truth.in_contact
+    await cell.release()
+    await take_away(cell)
+    cell.world.faults.fail("left", "disconnect")
+    await cell.until(lambda: bool(cell.service.waiting_for))
+    with pytest.raises(CommandRefused, match="left is not ready"):
+        await measure(cell, [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta, tzinfo
 from pathlib import Path
 
@@ -12,15 +13,21 @@ import pytest
 from loop_cell import Cell, on_cell, running
 from sampled import sampled
 
+from slipguard.config import parse_config
 from slipguard.control.control_step import ControlState
-from slipguard.control.state import Adoption, GraspState, Phase, RememberedGrip
+from slipguard.control.messages import Observation, StepOutput
+from slipguard.control.reports import Fault, FaultCode
+from slipguard.control.state import Adoption, GraspState, HandsOff, PersonNear, Phase, RememberedGrip
 from slipguard.daemon.api.requests import ClearRequest, MoveJawsRequest, ReleaseRequest
+from slipguard.daemon.loop.decision import Decision
 from slipguard.daemon.loop.virtual_time import run_virtual
+from slipguard.daemon.run import build_service
 from slipguard.daemon.store import dated_file
 from slipguard.daemon.store.disk_writer import RETRY_S
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
 from slipguard.errors import ConfigError
+from slipguard.sim.world import World, WorldSettings
 
 MAY_HOLD = ControlState(GraspState(adoption=Adoption(outdated=True)))
 
@@ -282,3 +289,83 @@ async def test_a_clock_that_is_set_does_not_change_the_age_of_a_grip(
     assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
     monkeypatch.undo()
     assert (await saved_grip(store)).force_n == cell.service.state.grip.target_n
+
+
+SILENT = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
+BEFORE = Adoption(remembered=RememberedGrip(90.0, 18.0, applied=False, limit_n=95.0))
+
+
+@pytest.mark.parametrize(
+    "grasp",
+    [
+        GraspState(Phase.FAULT, adoption=BEFORE, person=PersonNear(True), fault=SILENT),
+        GraspState(Phase.FAULT, adoption=Adoption(outdated=True), fault=SILENT),
+        GraspState(Phase.FAULT, hands_off=HandsOff(True, True), fault=SILENT),
+    ],
+    ids=["grip of before the restart", "unknown grip", "requested release"],
+)
+def test_a_fault_is_stored_with_what_is_known_of_the_grip(tmp_path: Path, grasp: GraspState) -> None:
+    store, reported = StateDir(tmp_path), list[str]()
+    latched = Decision(1.0, Phase.FAULT, Observation(1.0), StepOutput(fault=SILENT), ControlState(grasp))
+    before = replace(latched, phase=Phase.IDLE, output=StepOutput())
+
+    async def scene() -> None:
+        saver = LastGraspSaver(store, reported.append, reported.append)
+        saver.add_decision(before)
+        await asyncio.sleep(0.1)
+        assert store.load_last_grasp() is None, "nothing is known yet"
+        saver.add_decision(latched)
+        await asyncio.sleep(0.1)
+
+    asyncio.run(scene())
+    assert restore_control_state(store).grasp == grasp
+    assert reported == []
+
+
+@on_cell("wrench", 1)
+async def test_a_grip_that_does_not_change_for_hours_does_not_grow_old(cell: Cell, tmp_path: Path) -> None:
+    class Counting(StateDir):
+        writes = 0
+
+        def save_last_grasp(self, last: LastGrasp) -> None:
+            self.writes += 1
+            super().save_last_grasp(last)
+
+    store, decisions = Counting(tmp_path), list[Decision]()
+    saver = LastGraspSaver(store, cell.messages.append, cell.messages.append)
+    cell.service.observers.append(decisions.append)
+    await cell.grasp()
+    held = decisions[-1]
+    for minutes in range(0, 21, 4):
+        saver.add_decision(replace(held, now_s=held.now_s + 60.0 * minutes))
+        await asyncio.sleep(0.1)
+    assert store.writes == 3, "at 0, 8 and 16 minutes"
+
+
+@pytest.mark.parametrize("saved_at", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
+def test_a_grip_of_another_age_and_time_zone_is_not_used(tmp_path: Path, saved_at: str) -> None:
+    (tmp_path / "last_grasp.json").write_text(SAVED + f'"{saved_at}", "boot_id": "another"}}')
+    assert restore_control_state(StateDir(tmp_path), warning=list[str]().append) == MAY_HOLD
+
+
+@pytest.mark.parametrize("target", ["missing", "state"])
+def test_a_state_folder_behind_a_broken_link_does_not_say_that_nothing_was_held(tmp_path: Path, target: str) -> None:
+    state = tmp_path / "state"
+    state.symlink_to(tmp_path / target)
+    lines: list[str] = []
+    assert restore_control_state(StateDir(state), warning=lines.append) == MAY_HOLD
+    assert "cannot be read" in lines[0]
+    (tmp_path / "real").mkdir()
+    state.unlink()
+    state.symlink_to(tmp_path / "real")
+    assert restore_control_state(StateDir(state), warning=lines.append) == ControlState(), "a first start"
+
+
+def test_the_daemon_reports_a_damaged_file(tmp_path: Path) -> None:
+    (tmp_path / "last_grasp.json").write_text('{"format": 5, "force_')
+    raw: dict[str, object] = {name: {"driver": "fake", "fake": {"draw": "inline"}} for name in ("left", "right")}
+    config = parse_config(raw | {"state": {"directory": str(tmp_path)}}, where="test", sim=True)
+    service = build_service(config, world=World(WorldSettings(), seed=0))
+    service.close()
+    assert service.event_log.lines[0].startswith("it is unknown what was held before the restart: ")
+    assert service.state == MAY_HOLD.grasp

@@ -96,3 +96,17 @@ async def test_an_object_without_estimate_is_not_lifted_where_that_is_refused(ce
     assert cell.truth.applied_n < 45.0
     assert not [command for command in cell.arm.commands if command[1] == "lift"]
     await cell.release()
+
+
+@on_cell("wrench", 1, latency_s=0.03)
+async def test_an_estimate_computed_during_a_reset_of_the_reference_is_dropped(cell: Cell) -> None:
+    await cell.grasp()
+    finger, oracle = cell.service.fingers["left"], cell.perceivers["left"][0]
+    await cell.until(lambda: finger.newest is not None and finger.newest.estimate.sequence < oracle.sequence)
+    under_way = oracle.sequence
+    finger.reset_reference()
+    assert finger.newest is None
+    await finger.has_estimate.wait()
+    assert finger.newest is not None
+    assert finger.newest.estimate.sequence > under_way
+    assert finger.newest.estimate.rotation_deg is None

@@ -10,7 +10,7 @@ from loop_cell import Cell, on_cell
 
 from slipguard.control.messages import ControlRequest, RequestKind
 from slipguard.control.state import Phase
-from slipguard.daemon.api.requests import GraspRequest, LiftRequest
+from slipguard.daemon.api.requests import GraspRequest, LiftRequest, ReleaseRequest
 from slipguard.daemon.loop.virtual_time import VirtualTimeLoop
 from slipguard.daemon.store.background_images import BackgroundImage
 from slipguard.errors import CommandRefused, DeviceTimeout
@@ -112,4 +112,30 @@ async def test_a_request_in_the_queue_of_a_suspended_process_is_not_executed_aft
     with pytest.raises(CommandRefused, match="did not respond within 2 s; not executed"):
         await asked
     await asyncio.sleep(1.0)
+    assert cell.gripper.commands == []
+
+
+@on_cell()
+async def test_a_release_behind_a_grasp_is_executed_and_a_second_grasp_refused(cell: Cell) -> None:
+    await cell.ready()
+    asked_s = cell.now_s
+    first, second = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(ReleaseRequest(confirm=True)))
+    assert first.startswith("closing with")
+    assert second.startswith("releasing, as requested")
+    assert cell.now_s - asked_s < 0.05
+    await cell.until(lambda: cell.phase is Phase.IDLE)
+    twice = await asyncio.gather(cell.submit(GraspRequest()), cell.submit(GraspRequest()), return_exceptions=True)
+    assert str(twice[0]).startswith("closing with")
+    assert str(twice[1]) == "cannot grasp while closing; support the object, then release it"
+
+
+@on_cell()
+async def test_slow_storage_is_named_before_the_client_gives_up(cell: Cell) -> None:
+    await cell.ready()
+    asked_s = cell.now_s
+    cell.handlers._capture.check_calibrated = lambda: asyncio.sleep(6.0)  # type: ignore[method-assign]
+    with pytest.raises(CommandRefused, match="cannot grasp: the background images were not read within 4 s"):
+        await cell.submit(GraspRequest())
+    assert cell.now_s - asked_s < GraspRequest.response_timeout_s
+    await asyncio.sleep(10.0)
     assert cell.gripper.commands == []

@@ -7,6 +7,7 @@ import contextlib
 import os
 import signal
 import socket
+import threading
 from collections.abc import Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import Any
@@ -251,16 +252,25 @@ def ended_when_cancelled_at(rotation: int, make: Callable[[], Coroutine[Any, Any
     return run_virtual(main())
 
 
-@pytest.mark.parametrize("there", [False, True])
-@pytest.mark.parametrize("rotation", ROTATIONS)
-def test_a_device_that_swallows_a_cancellation_is_closed(rotation: int, there: bool) -> None:
-    def driven() -> Coroutine[Any, Any, None]:
-        device = Careless(there)
-        actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda line: None)
-        actuator.command(device.stop)
-        return actuator.run()
+def driven(device: Careless) -> Coroutine[Any, Any, None]:
+    actuator: Actuator[int] = Actuator("motor", device, 0.02, 0.5, lambda: None, lambda line: None)
+    actuator.command(device.stop)
+    return actuator.run()
 
-    assert ended_when_cancelled_at(rotation, driven)
+
+def captured(sensor: Careless) -> Coroutine[Any, Any, None]:
+    finger = Cell().service.fingers["left"]
+    finger.capture.sensor = sensor  # type: ignore[assignment]
+    return finger.run()
+
+
+@pytest.mark.parametrize("there", [False, True])
+@pytest.mark.parametrize("run", [driven, captured])
+@pytest.mark.parametrize("rotation", ROTATIONS)
+def test_a_driver_that_swallows_a_cancellation_is_closed(
+    rotation: int, run: Callable[[Careless], Coroutine[Any, Any, None]], there: bool
+) -> None:
+    assert ended_when_cancelled_at(rotation, lambda: run(Careless(there)))
 
 
 async def one_that_stays() -> None:
@@ -294,3 +304,37 @@ def test_a_task_that_ignores_cancellation_is_named_and_cancelled_again(
     (line,) = [line for line in reported if "cancelled again" in line["event"]]
     assert "extra" in line["tasks"]
     assert reported[-1]["event"] == "slipguard stops; the grip stays as it is"
+
+
+async def test_without_a_thread_for_it_the_kernel_ends_a_hanging_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    asyncio.get_running_loop().add_signal_handler(signal.SIGALRM, lambda: None)
+    monkeypatch.setattr(threading.Timer, "start", refuse)
+    try:
+        lifecycle.exit_if_stuck()
+        assert signal.getsignal(signal.SIGALRM) is signal.SIG_DFL
+    finally:
+        remaining_s = signal.alarm(0)
+    assert 0 < remaining_s <= lifecycle.EXIT_S
+
+
+def test_systemd_waits_longer_for_the_end_than_the_daemon() -> None:
+    unit = (Path(__file__).parents[2] / "systemd" / "slipguard.service").read_text()
+    (stop_s,) = (float(line.partition("=")[2]) for line in unit.splitlines() if line.startswith("TimeoutStopSec="))
+    assert lifecycle.CANCEL_AGAIN_S < lifecycle.EXIT_S < lifecycle.EXIT_S + lifecycle.FLUSH_S < stop_s
+
+
+def test_requests_to_a_stopping_service_are_refused() -> None:
+    async def main() -> None:
+        cell = Cell()
+        async with running(cell):
+            await cell.ready()
+            asked = [asyncio.create_task(cell.submit(GraspRequest())) for _ in range(3)]
+            await asyncio.sleep(0)
+        ends = await asyncio.gather(*asked, return_exceptions=True)
+        assert str(ends[0]).startswith("closing")
+        assert [str(end) for end in ends[1:]] == 2 * ["grasp: slipguard is stopping"]
+
+    run_virtual(main())

@@ -230,3 +230,16 @@ async def test_a_release_that_is_stuck_is_not_followed_by_a_tightening(cell: Cel
     holds = len(cell.gripper.commands)
     await asyncio.sleep(1.0)
     assert not [what for _, what, _ in cell.gripper.commands[holds:] if what == "hold"]
+
+
+@on_cell("wrench", 1)
+async def test_a_slip_after_it_is_met_with_force(cell: Cell) -> None:
+    await cell.grasp()
+    await cell.submit(LiftRequest())
+    await cell.until(lambda: cell.truth.height_mm > 20.0)
+    await stopped(cell)
+    first_n = cell.truth.applied_n
+    cell.world.add_mass(cell.now_s, 3.0)
+    await asyncio.sleep(1.0)
+    assert cell.truth.applied_n > first_n
+    assert cell.truth.dropped is None

@@ -13,7 +13,7 @@ from slipguard.control.state import Phase
 from slipguard.daemon.api.requests import ActivateRequest, GraspRequest, MoveJawsRequest, ReleaseRequest
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.state_dir import LastGrasp, StateDir
-from slipguard.errors import CommandRefused
+from slipguard.errors import CommandRefused, DeviceTimeout
 from slipguard.sim.world import World, WorldSettings
 
 CONFIRMED = ActivateRequest(confirm=True)
@@ -84,3 +84,48 @@ async def test_refused_after_a_start_with_an_old_or_damaged_file_until_the_gripp
     await asyncio.sleep(0.2)
     assert not cell.service.state.adoption.outdated
     assert store.load_last_grasp() is None
+
+
+@on_cell(make=switched_on)
+async def test_refused_while_a_finger_sees_or_may_see_contact_unless_that_is_known_better(cell: Cell) -> None:
+    with pytest.raises(CommandRefused, match="no sensor was found yet for the left finger"):
+        await cell.submit(CONFIRMED)
+    await cell.ready()
+    cell.perceivers["left"][-1].always_touched = True
+    await asyncio.sleep(0.2)
+    with pytest.raises(CommandRefused, match="left finger is in contact"):
+        await cell.submit(CONFIRMED)
+    cell.perceivers["left"][-1].always_touched = False
+    cell.world.faults.fail("right", "disconnect")
+    await asyncio.sleep(1.0)
+    with pytest.raises(CommandRefused, match="right finger has no recent estimate"):
+        await cell.submit(CONFIRMED)
+    assert cell.width_mm == 85.0
+    await cell.submit(ActivateRequest(confirm=True, force=True))
+
+
+@on_cell(make=switched_on)
+async def test_a_failed_activation_is_reported(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fails() -> None:
+        raise DeviceTimeout("gripper: not activated after 10 s (activation fault)")
+
+    async def succeeds_late() -> None:
+        await asyncio.sleep(3.0)
+        cell.world.gripper_activated = True
+
+    async def never_ends() -> None:
+        await asyncio.sleep(0)
+
+    await cell.ready()
+    monkeypatch.setattr(cell.gripper, "activate", fails)
+    monkeypatch.setattr(cell.service.gripper, "_poll_s", 0.2)
+    with pytest.raises(CommandRefused, match="the activation failed: gripper: not activated after 10 s"):
+        await cell.submit(CONFIRMED)
+    assert not cell.service.gripper.health.ready, "of the command before"
+    monkeypatch.setattr(cell.gripper, "activate", succeeds_late)
+    assert "is activated" in await cell.submit(CONFIRMED)
+    cell.world.gripper_activated = False
+    await asyncio.sleep(0.5)
+    monkeypatch.setattr(cell.gripper, "activate", never_ends)
+    with pytest.raises(CommandRefused, match="not activated within 15 s; the jaws may still move"):
+        await cell.submit(CONFIRMED)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 
 import pytest
 from loop_cell import Cell, on_cell
 from loop_doubles import Oracle
 
-from slipguard.control.state import Phase
-from slipguard.daemon.loop.capture import RESTART_APART_S, RESTART_INTERVAL_S
+from slipguard.control.state import HeldObject, Phase, SlipEpisode
+from slipguard.daemon.loop.capture import RESTART_APART_S, RESTART_INTERVAL_S, TORN_MAX
 from slipguard.devices import Frame
 from slipguard.errors import FrameTorn
 from slipguard.perception.estimate import Estimate
@@ -55,3 +56,21 @@ async def test_repeated_tears_of_both_fingers_restart_the_streams_one_after_the_
     assert cell.phase is Phase.HOLDING
     assert cell.service.state.grip.target_n == target_n
     assert "torn" in "\n".join(cell.service.event_log.lines)
+
+
+@on_cell("wrench", 1)
+async def test_no_stream_restarts_while_the_other_finger_has_no_frames_or_the_object_slips(cell: Cell) -> None:
+    await cell.grasp()
+    cell.world.faults.fail("right", "stall")
+    tear(cell.perceivers["left"][-1], every=3)
+    await asyncio.sleep(3.0)
+    counts = cell.service.fingers["left"].capture.counts
+    assert (counts.torn > TORN_MAX, counts.restarts) == (True, 0)
+    assert cell.phase is Phase.HOLDING, "the left finger guards"
+    memory, slip = cell.service._control_state, SlipEpisode(cell.now_s, cell.now_s)
+    cell.world.faults.repair("right")
+    await cell.until(lambda: cell.service._may_restart("left"))
+    cell.service._control_state = replace(memory, grasp=replace(memory.grasp, held=HeldObject(slip=slip)))
+    assert not cell.service._may_restart("left")
+    cell.service._control_state = memory
+    await cell.until(lambda: counts.restarts == 1)

@@ -116,3 +116,12 @@ def test_the_contact_is_the_mean_of_those_seen(
     together = fuse(left, right)
     assert together is not None
     assert together.contact_radius_mm == fused_mm
+
+
+@pytest.mark.parametrize("at_s", [math.nan, math.inf])
+def test_a_finger_without_a_valid_time_is_ignored(at_s: float) -> None:
+    both = fuse(estimate(10.0, at_s=at_s), estimate(-12.0))
+    assert both is not None
+    assert both.rotation_deg == pytest.approx(12.0)
+    assert both.left_contact is None
+    assert fuse(estimate(10.0, at_s=at_s), None) is None
