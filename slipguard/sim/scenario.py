@@ -102,6 +102,11 @@ def initial_delivery(seed: int, finger: str) -> FrameDelivery:
     return _delivery(np.random.default_rng([seed, 1 if finger == "left" else 2]))
 
 
+def sensor_gel(seed: int) -> SoftPad:
+    """Return the gel of a cell's two sensors, for `replace(scenario(...), gel=...)`: it is the same for all objects."""
+    return _gel(np.random.default_rng([seed, 3]))
+
+
 def _gel(rng: np.random.Generator) -> SoftPad:
     """Return a random gel: mostly soft silicone that stiffens with the contact, sometimes a stiff pad."""
     stiff = bool(rng.random() < 0.2)

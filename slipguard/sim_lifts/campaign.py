@@ -24,7 +24,7 @@ from slipguard.daemon.run import build_service
 from slipguard.devices import FINGERS
 from slipguard.errors import CommandRefused
 from slipguard.sim.catalogue import object_names
-from slipguard.sim.scenario import scenario
+from slipguard.sim.scenario import scenario, sensor_gel
 from slipguard.sim.world import World
 from slipguard.sim_lifts.lift_record import EstimatedRotation, LiftRecord
 from slipguard.tools.waiting import running_service, wait_until
@@ -32,7 +32,8 @@ from slipguard.tools.waiting import running_service, wait_until
 TRUTH_STEP_S = 0.004
 HOLD_S = 1.2
 """Time for which an object is held after the lift, before it is put down."""
-PHASE_TIMEOUT_S = 12.0
+PHASE_TIMEOUT_S = 30.0
+"""A soft gel takes the load over several seconds: the arm rises slowly until the object hangs."""
 LIFT_HEIGHT_MM = 150.0
 LIFT_SPEED_MM_S = 80.0
 LOWER_SPEED_MM_S = 150.0
@@ -127,7 +128,7 @@ async def _lifts(
         record = LiftRecord(object_name=name, hard=HARD_CASES.get(name, ""))
         records.append(record)
         loop = asyncio.get_running_loop()
-        world.place(scenario(name, seed), loop.time())
+        world.place(replace(scenario(name, seed), gel=sensor_gel(settings.seed)), loop.time())
         with _watched(service, world, record, progress, show, realtime=settings.realtime):
             await _one_lift(service, handlers, world, record, running)
         world.clear(loop.time())

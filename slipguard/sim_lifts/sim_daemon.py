@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import cycle
 
 import structlog
@@ -13,9 +14,10 @@ from slipguard.control.state import Phase
 from slipguard.daemon import run as root
 from slipguard.daemon.loop.service import Service
 from slipguard.sim.catalogue import object_names
-from slipguard.sim.scenario import scenario
+from slipguard.sim.scenario import scenario, sensor_gel
 from slipguard.sim.world import World
 
+SEED = 0
 POLL_S = 0.2
 ROOM_MM = 60.0
 """From this width on the jaws are open for the next object."""
@@ -24,7 +26,7 @@ log = structlog.get_logger()
 
 async def run_simulated_cell(config: Config, bind_api: root.BindApi, on_stop: Callable[[], object]) -> None:
     """Run the daemon in a new simulated world until it is stopped. bind_api, on_stop: see `slipguard.daemon.run`."""
-    world = World(seed=0)
+    world = World(seed=SEED)
 
     async def place_objects(service: Service) -> None:
         """After each release, remove the object and place the next."""
@@ -36,7 +38,7 @@ async def run_simulated_cell(config: Config, bind_api: root.BindApi, on_stop: Ca
                 grasped = grasped or service.phase is not Phase.IDLE
                 await asyncio.sleep(POLL_S)
             world.clear(loop.time())
-            world.place(scenario(name, number), loop.time())
+            world.place(replace(scenario(name, number), gel=sensor_gel(SEED)), loop.time())
             log.info("an object lies between the jaws", object=name)
             grasped = False
 
