@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from slipguard.control import force_limits
 from slipguard.control.contact_motion import ZERO
 from slipguard.control.finger_fusion import FusedEstimate
-from slipguard.control.load_state import CAPACITY_EXPONENT, LoadState, deg_per_mm
+from slipguard.control.load_state import CAPACITY_EXPONENT, STIFFNESS_PRIOR, LoadState, deg_per_mm
 from slipguard.control.messages import Observation
 from slipguard.control.params import GuardParams
 from slipguard.control.reports import Fault, FaultCode, Message, Text
@@ -84,7 +84,7 @@ def guard(state: GraspState, observation: Observation, params: GuardParams) -> G
     if fused is None or not state.guarding:
         return Guarding(state, stop_arm=slip is not None)
     if not load.weights:
-        load = load.started(state.gel, state.grip.target_n)
+        load = load.started(STIFFNESS_PRIOR, state.grip.target_n)
     if not _at_rest(state, observation):
         load = replace(load, jaws_moved_s=observation.now_s)
     state = _with_load(state, load)
@@ -116,7 +116,7 @@ def _follow(state: GraspState, fused: FusedEstimate, observation: Observation, p
     load = replace(load, object_moved_s=observation.now_s if any(soon) else load.object_moved_s)
     load = _at_limit(load, state, observation, params, settled=settled)
     load = replace(load, far_frames=load.far_frames + 1 if _rotated_far(fused, params) else 0)
-    state = _learn(_with_load(state, load))
+    state = _with_load(state, load)
     if state.held.referenced and load.far_frames >= FAR_FRAMES:
         return _give_up(state, observation, params)
     moves = moves or (lifts and any(soon))
@@ -193,14 +193,6 @@ def _delay_s(state: GraspState, params: GuardParams) -> float:
     """Return the time from a command to the gripper until it takes effect."""
     delay_s = state.grip.delay.delay_s
     return params.tuning.tighten_delay_s if delay_s is None else min(delay_s, DELAY_MAX_S)
-
-
-def _learn(state: GraspState) -> GraspState:
-    """Return the state with what an object that hangs has shown of the gels."""
-    load = state.held.load
-    if not load.hangs or load.learned or not state.held.referenced:
-        return state
-    return replace(_with_load(state, replace(load, learned=True)), gel=load.stiffness())
 
 
 def _at_limit(

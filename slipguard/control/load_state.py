@@ -14,7 +14,7 @@ The elastic limit u depends on the gel and on the friction, and is not known: it
 pad and 15 degrees on a soft one. While the far end of an object still rests on the table, no image separates slip from
 elastic motion. So there is one lambda for each limit of a grid, with a weight. Three things change the weights:
 
-- The gels have shown their stiffness in earlier grasps; the friction differs between objects (`start`).
+- Stiffness and friction differ between gels, contacts and objects (`started`).
 - A load far above what the first grip holds is improbable, for a person chose that grip (`LOAD_PRIOR`).
 - An object that no longer moves although the arm rises hangs, and is held. A limit at which it would have slipped is
   refuted, and one of which an unanswered load used its usual share is likely (`hung`).
@@ -44,8 +44,6 @@ STIFFNESS_RADIUS_M = 6e-3
 """Contact radius at which the stiffness of a gel is stated."""
 FRICTION, FRICTION_SPREAD = 0.5, 0.35
 """Of objects on the gel: median, and standard deviation of the logarithm. No figure for DIGITs is published."""
-STIFFNESS_SPREAD_LEAST = 0.5
-"""However many grasps it was learned from: it depends on the shape of the contact, too, and gels wear."""
 SHARE, SHARE_SPREAD = 0.3, 0.45
 """Load over capacity of an object that the first grip holds: median, and spread of the logarithm."""
 LOAD_PRIOR = 0.8
@@ -80,7 +78,7 @@ def deg_per_mm(force_n: float) -> float:
 
 
 def as_limit(stiffness: LogNormal) -> LogNormal:
-    """Return the elastic limit at `AT_N` in degrees of gels with this stiffness. It is its own inverse."""
+    """Return the elastic limit at `AT_N` in degrees of gels with this stiffness."""
     gel = (PAD.contact_radius_m(AT_N) / STIFFNESS_RADIUS_M) ** 3
     return LogNormal(math.degrees(torque_limit_n_m(AT_N, FRICTION, PAD) / gel) / stiffness.median, stiffness.spread)
 
@@ -100,7 +98,7 @@ class LoadState:
         lowest_mm: lowest height of the arm since the grip. level_mm, level: height and position from which the arm has
             risen without moving the object, since the force last changed.
         hangs: the whole load has arrived.
-        tightened: the grip was tightened for this load. learned: this grasp has shown the gel's stiffness.
+        tightened: the grip was tightened for this load.
     """
 
     motion: ContactMotion = field(default_factory=ContactMotion)
@@ -119,7 +117,6 @@ class LoadState:
     level: Vector = ZERO
     hangs: bool = False
     tightened: bool = False
-    learned: bool = False
 
     def started(self, gel: LogNormal, force_n: float) -> LoadState:
         """Return the state of an object that has just been gripped with this force."""
@@ -190,14 +187,6 @@ class LoadState:
     def elastic_limit_deg(self, quantile: float) -> float:
         """Return the elastic torsion of the present grip that is not exceeded with this probability."""
         return _quantile(LIMITS_DEG, self._probable(), quantile) * elastic_limit_deg(self.force_n)
-
-    def stiffness(self) -> LogNormal:
-        """Return what the object has shown of the gels' stiffness."""
-        logs = [math.log(deg) for deg in LIMITS_DEG]
-        mean = sum(weight * log for weight, log in zip(self.weights, logs, strict=True))
-        variance = sum(weight * (log - mean) ** 2 for weight, log in zip(self.weights, logs, strict=True))
-        spread = min(max(math.sqrt(variance), STIFFNESS_SPREAD_LEAST), STIFFNESS_PRIOR.spread)
-        return as_limit(LogNormal(math.exp(mean), spread))
 
     def _steps(self, motion: Vector) -> list[Vector]:
         """Return a motion as a share of each elastic limit at the present force."""

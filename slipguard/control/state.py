@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
-from slipguard.control.load_state import PAD, STIFFNESS_PRIOR, LoadState, LogNormal
+from slipguard.control.load_state import PAD, LoadState
 from slipguard.control.reports import Fault, FaultCode
 from slipguard.devices import GripperState
 from slipguard.limit_surface import Pad
@@ -273,7 +273,6 @@ class GraspState:
         guarding: slip has an effect (`guard off` ends that until `guard on`).
         release: in RELEASED only.
         fault: in FAULT only: the latched one.
-        gel: torsional stiffness of the gels, learned over the grasps.
     """
 
     phase: Phase = Phase.IDLE
@@ -289,7 +288,6 @@ class GraspState:
     adoption: Adoption = field(default_factory=Adoption)
     reported: Reported = field(default_factory=Reported)
     fault: Fault | None = None
-    gel: LogNormal = STIFFNESS_PRIOR
 
     @property
     def waits_for_gripper(self) -> bool:
@@ -310,9 +308,9 @@ class GraspState:
         return replace(self, phase=phase, since_s=now_s, arm=arm, release=None)
 
     def emptied(self, phase: Phase, now_s: float) -> GraspState:
-        """Return the state with nothing held: everything about the object is forgotten, but not about the gels."""
+        """Return the state with nothing held: everything about the object is forgotten."""
         person, adoption = PersonNear(self.person.now), Adoption(done=True)
-        return GraspState(phase, now_s, self.guarding, person=person, adoption=adoption, gel=self.gel)
+        return GraspState(phase, now_s, self.guarding, person=person, adoption=adoption)
 
     def taken_over(self, gripper: GripperState, now_s: float) -> GraspState:
         """Return the state that guards what the gripper holds, with the grip it has, from a new reference on.

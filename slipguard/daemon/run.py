@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -32,7 +31,6 @@ from slipguard.daemon.loop.service import Controller, Service
 from slipguard.daemon.loop.worker import ThreadWorker, Worker
 from slipguard.daemon.reload import Reloader
 from slipguard.daemon.store.background_images import BackgroundImage
-from slipguard.daemon.store.gel_stiffness import StiffnessSaver, restore_stiffness
 from slipguard.daemon.store.last_config import ConfigSaver, last_config_path
 from slipguard.daemon.store.last_grasp import LastGraspSaver, restore_control_state
 from slipguard.daemon.store.last_reference import REFERENCES, ReferenceSaver, ReferenceStore, restore_reference
@@ -113,7 +111,6 @@ def build_service(
     warnings: list[str] = []
     sensors = {name: device(name) for name in FINGERS}
     state = restore_control_state(state_dir, warning=warnings.append)
-    gel = restore_stiffness(state_dir, [sensor.serial for sensor in sensors.values()], warnings.append)
     service = Service(
         config,
         sensors=sensors,
@@ -123,7 +120,7 @@ def build_service(
         make_pipeline={name: pipeline_maker(name) for name in FINGERS},
         store=state_dir,
         controller=controller,
-        control_state=replace(state, grasp=replace(state.grasp, gel=gel)),
+        control_state=state,
     )
     for line in warnings:
         service.event_log.warning(line)
@@ -246,14 +243,12 @@ def _permanent_objects_frozen() -> Iterator[None]:
 
 
 def _add_savers(service: Service, state_dir: StateDir, config_path: Path | None) -> None:
-    """Keep the grip, the fault, the gels' stiffness, the references and the configuration on the disk, for a restart.
+    """Keep the grip, the fault, the references and the configuration on the disk, for a restart.
 
     config_path: None: the configuration is not kept, because it is that of a simulation or the daemon runs by hand.
     """
     info, warning = service.event_log.info, service.event_log.warning
     service.observers.append(LastGraspSaver(state_dir, info, warning).add_decision)
-    serials = [finger.capture.sensor.serial for finger in service.fingers.values()]
-    service.observers.append(StiffnessSaver(state_dir, serials, service.state.gel, info, warning).add_decision)
     references = ReferenceStore(state_dir.path / REFERENCES)
     service.observers.append(ReferenceSaver(references, service.fingers, info, warning).add_decision)
     if config_path is not None:

@@ -155,7 +155,6 @@ def state(draw: Random, folder: Path) -> int:
     fault = Fault(FaultCode.GRIPPER_SILENT, "no answer for 2.0 s", "check its cable")
     store.save_last_grasp(LastGrasp(**save_time(), force_n=40.0, width_mm=18.0, lift_start_mm=(0, 0, 1), fault=fault))
     store.save_background(SERIAL, BackgroundImage(image, (2.0, 2.0, 2.0), 30))
-    store.save_stiffness(SERIAL, ControlState().grasp.gel, store.gel_number(SERIAL))
     references.save("left", SERIAL, StoredReference(image, 3.0, 0.0))
     path = draw.choice(sorted(path for path in folder.rglob("*") if path.is_file()))
     change_file(draw, path)
@@ -169,7 +168,6 @@ def state(draw: Random, folder: Path) -> int:
         lambda: store.background_versions(SERIAL),
         lambda: store.background_created_at(SERIAL),
         lambda: store.first_of_gel(SERIAL),
-        lambda: store.load_stiffness(SERIAL),
         lambda: references.load("left", SERIAL),
     ):
         with contextlib.suppress(SlipguardError):

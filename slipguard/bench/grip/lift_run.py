@@ -18,10 +18,8 @@ from slipguard.bench.grip.controllers import (
 )
 from slipguard.bench.grip.lift_course import GripOutcome, LiftCourse
 from slipguard.bench.grip.perception_models import ModeledFinger, PerceptionErrors, RenderedFinger
-from slipguard.bench.grip.scenarios import PERCEIVING_S, ROOM_MM, GripScenario, earlier_grasps
-from slipguard.control.messages import ControlRequest, RequestKind
+from slipguard.bench.grip.scenarios import PERCEIVING_S, ROOM_MM, GripScenario
 from slipguard.control.params import GuardParams
-from slipguard.control.state import Phase
 from slipguard.devices import FINGERS
 from slipguard.sim import object_motion
 from slipguard.sim.mujoco_plant import MujocoPlant
@@ -33,11 +31,8 @@ NAIVE_DEG = (2.0, 1.0, 0.5, 0.25)
 """The naive law adds 10 N for each of these; the smaller ones reach slipguard's force."""
 CONSTANTS = (0.3, 0.5, 0.7, 1.0)
 """Constant forces, relative to the force limit; at least what the gripper's weakest grip is."""
-EARLIER_GRASPS = 2
-"""slipguard has gripped other objects with the same pads before: it learns their stiffness. A start is rarer."""
 START_S = 100.0
 STEP_S = 2e-3
-RELEASE_MAX_S = 5.0
 
 
 def run_lift(
@@ -58,14 +53,10 @@ def run_lift(
     """
     params = guard_params(params or GuardParams(), scenario)
     decides = _controller(controller, params, scenario)
-    start_s = START_S
-    if isinstance(decides, SlipguardController):
-        for other in earlier_grasps(scenario, EARLIER_GRASPS):
-            start_s = _earlier(other, decides, plant, start_s)
     rng = np.random.default_rng([scenario.seed, scenario.number, 17])
     fingers = _fingers(scenario, rng, rendered=rendered)
     loop_rng = np.random.default_rng([scenario.seed, scenario.number, 9])
-    run = LiftCourse(scenario, _loop(scenario, plant, decides, fingers, loop_rng, start_s))
+    run = LiftCourse(scenario, _loop(scenario, plant, decides, fingers, loop_rng))
     run.grip(constant_n(controller, scenario))
     run.lift()
     run.event()
@@ -73,19 +64,6 @@ def run_lift(
     if not disturbed or outcome.dropped is not None:
         return outcome
     return replace(outcome, disturbed=run.disturb(), fault=run.fault)
-
-
-def _earlier(scenario: GripScenario, controller: SlipguardController, plant: PlantName, start_s: float) -> float:
-    """Grip, lift and release an object; return the time afterwards."""
-    rng = np.random.default_rng([scenario.seed, scenario.number, 29])
-    fingers = _fingers(scenario, rng, rendered=False)
-    loop = _loop(scenario, plant, controller, fingers, rng, start_s)
-    run = LiftCourse(scenario, loop)
-    run.grip(scenario.first_n)
-    run.lift()
-    loop.ask(ControlRequest(RequestKind.RELEASE))
-    loop.until(lambda: controller.state.grasp.phase is Phase.IDLE, RELEASE_MAX_S)
-    return loop.now_s
 
 
 def constant_n(controller: str, scenario: GripScenario) -> float:
@@ -113,21 +91,20 @@ def _loop(
     controller: SlipguardController | UnguardedController,
     fingers: dict[str, FingerModel],
     rng: np.random.Generator,
-    start_s: float,
 ) -> ClosedLoop:
     gripper = scenario.pose.gripper
     return ClosedLoop(
-        _world(scenario, plant, start_s),
+        _world(scenario, plant),
         controller,
         fingers,
         rng,
         PERCEIVING_S,
-        now_s=start_s,
+        now_s=START_S,
         gripper_limits_n=(gripper.force_min_n, gripper.force_max_n),
     )
 
 
-def _world(scenario: GripScenario, plant: PlantName, start_s: float) -> World:
+def _world(scenario: GripScenario, plant: PlantName) -> World:
     item = scenario.item
     world = World(
         WorldSettings(step_s=STEP_S, start_width_mm=item.width_mm + ROOM_MM),
@@ -135,7 +112,7 @@ def _world(scenario: GripScenario, plant: PlantName, start_s: float) -> World:
         lookup=lambda name: item,
         mechanics=MujocoPlant() if plant == "mujoco" else object_motion.advance,
     )
-    world.place(scenario.pose, start_s)
+    world.place(scenario.pose, START_S)
     return world
 
 

@@ -239,29 +239,6 @@ def _mass_kg(scenario: GripScenario) -> float:
     return 2.0 * load_n / (peak * GRAVITY_M_S2)
 
 
-def earlier_grasps(scenario: GripScenario, count: int) -> list[GripScenario]:
-    """Return firm lifts of other objects by the same gripper and pads, before the scenario."""
-    found: list[GripScenario] = []
-    for k in range(count):
-        rng = np.random.default_rng([scenario.seed, scenario.number, 23, k])
-        gripper = scenario.pose.gripper
-        first_n = gripper.quantized_force_n(_log_uniform(rng, gripper.force_min_n, 0.5 * scenario.force_max_n))
-        other = replace(
-            scenario,
-            event="lift",
-            motion="rotation",
-            first_n=first_n,
-            needed_n=float(rng.uniform(*FIRM_GRIP)) * gripper.gain * first_n,
-            lever_mm=float(rng.uniform(*LEVER_MM["rotation"])),
-            friction=_log_uniform(rng, 0.3, 0.9),
-            lift_speed_mm_s=60.0,
-            pose=replace(scenario.pose, object_name=str(rng.choice(TEST_OBJECTS)), lever_deg=0.0),
-            outage=None,
-        )
-        found.append(replace(other, mass_kg=_mass_kg(other)))
-    return found
-
-
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return math.exp(rng.uniform(math.log(low), math.log(high)))
 

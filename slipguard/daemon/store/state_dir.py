@@ -1,8 +1,7 @@
-"""The state directory: each sensor's background images and stiffness, and the last grasp with its fault.
+"""The state directory: each sensor's background images, and the last grasp with its fault.
 
     <state>/sensors/<serial>/no_contact-0003.png    background image, 240 x 320 BGR; older ones are kept
     <state>/sensors/<serial>/no_contact-0003.json   noise, light, frames, time, sha256 of the image
-    <state>/sensors/<serial>/stiffness.json         learned stiffness of the gel
     <state>/last_grasp.json                         and last_grasp.unreadable-<time>.json, which could not be used
 
 Every file is written atomically, the .json last: an image without it is not used.
@@ -25,7 +24,6 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, ValidationErro
 
 from slipguard.atomic_file import write_atomically
 from slipguard.config_errors import describe_validation_error
-from slipguard.control.load_state import STIFFNESS_PRIOR, LogNormal
 from slipguard.control.reports import Fault
 from slipguard.daemon.store.background_images import BackgroundImage, BackgroundVersion
 from slipguard.daemon.store.dated_file import DatedFile, save_time
@@ -55,15 +53,6 @@ class _BackgroundFacts(_StateFile):
     level_bgr: tuple[Level, Level, Level] | None = None
     new_gel: bool = False
     copy_of: int | None = None
-
-
-class _StiffnessFacts(_StateFile):
-    """gel: number of the first background image of the gel that it belongs to; None: there was no image."""
-
-    format: Literal[1] = 1
-    gel: int | None
-    median_n_m_rad: Annotated[float, Field(gt=0.0, le=1000.0)]
-    spread: Annotated[float, Field(gt=0.0, le=STIFFNESS_PRIOR.spread)]
 
 
 class LastGrasp(DatedFile):
@@ -251,20 +240,6 @@ class StateDir:
             return []
         except OSError as error:
             raise InputError(f"{folder}: cannot be read ({error.strerror}); check its owner and permissions") from None
-
-    # --- the stiffness of the gels ---
-
-    def save_stiffness(self, serial: str, stiffness: LogNormal, gel: int | None) -> None:
-        """Store the learned stiffness of a sensor's gel. gel: as `gel_number`."""
-        facts = _StiffnessFacts(gel=gel, median_n_m_rad=stiffness.median, spread=stiffness.spread)
-        _write(self._sensor(serial) / "stiffness.json", facts.model_dump_json(indent=2).encode())
-
-    def load_stiffness(self, serial: str) -> LogNormal | None:
-        """Return the learned stiffness of a sensor's present gel; None if unknown. Raises InputError if damaged."""
-        facts = _read_if_there(self._sensor(serial) / "stiffness.json", _StiffnessFacts)
-        if facts is None or facts.gel != self.gel_number(serial):
-            return None
-        return LogNormal(facts.median_n_m_rad, facts.spread)
 
     # --- the last grasp ---
 

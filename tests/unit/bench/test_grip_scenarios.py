@@ -17,7 +17,6 @@ from slipguard.bench.grip.scenarios import (
     NEEDED_SHARE,
     PADS,
     GripScenario,
-    earlier_grasps,
     scenarios,
 )
 from slipguard.limit_surface import GRAVITY_M_S2, force_needed_n
@@ -74,11 +73,3 @@ def test_equal_seeds_give_equal_scenarios_and_test_seeds_are_named() -> None:
     assert CampaignPlan.of(quick=True, seed=0).seed_set == "tuning"
     assert CampaignPlan.of(quick=True, seed=FIRST_TEST_SEED, plant="mujoco").seed_set == "test"
     assert CampaignPlan.of(quick=True, plant="mujoco").scenarios == CampaignPlan.of(quick=True).scenarios
-
-
-def test_earlier_grasps_are_firm_lifts_with_the_same_pads_and_gripper() -> None:
-    for one in SOME[:10]:
-        for earlier in earlier_grasps(one, 2):
-            assert earlier.firm
-            assert (earlier.pose.gel, earlier.pose.gripper) == (one.pose.gel, one.pose.gripper)
-            assert earlier.needed_n != one.needed_n

@@ -12,10 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slipguard.control.load_state import STIFFNESS_PRIOR
 from slipguard.control.state import Adoption
 from slipguard.daemon.store.background_images import BackgroundImage
-from slipguard.daemon.store.gel_stiffness import restore_stiffness
 from slipguard.daemon.store.last_grasp import restore_control_state
 from slipguard.daemon.store.last_reference import ReferenceStore
 from slipguard.daemon.store.state_dir import KEPT, LastGrasp, StateDir, default_state_path
@@ -125,15 +123,14 @@ def test_another_users_folder_is_reported_and_does_not_say_that_nothing_was_held
     lines: list[str] = []
     with no_access(tmp_path / "state"):
         assert restore_control_state(state, warning=lines.append).grasp.adoption == Adoption(outdated=True)
-        assert restore_stiffness(state, ["D20479"], lines.append) == STIFFNESS_PRIOR
-        for read in (state.load_background, state.background_versions, state.first_of_gel, state.load_stiffness):
+        for read in (state.load_background, state.background_versions, state.first_of_gel):
             with pytest.raises(InputError, match="cannot be read"):
                 read("D20479")
         with pytest.raises(InputError, match="cannot be read"):
             references.load("left", "D20479")
         with pytest.raises(SlipguardError, match="Permission denied"):
             state.save_background("D20479", no_contact())
-    assert [line.count("cannot be read (Permission denied)") for line in lines] == [1, 1]
+    assert [line.count("cannot be read (Permission denied)") for line in lines] == [1]
     assert restore_control_state(state).grasp.adoption.remembered is not None, "the file is as it was"
 
 
