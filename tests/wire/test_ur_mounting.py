@@ -57,7 +57,7 @@ async def test_a_motion_does_not_change_it(series: Literal["e", "cb3"]) -> None:
         assert await until(lambda: abs(monitor.newest.acceleration[2] + 9.82) > 0.8), "the sensor reads the motion"
         controller.control("panel stop")
         assert await until(lambda: not monitor.newest.moving)
-        assert monitor.arm_state().up == pytest.approx(at_rest, abs=0.02)
+        assert monitor.arm_state().up == pytest.approx(at_rest, abs=0.05)
 
 
 async def test_in_motion_since_the_start_it_is_unknown_until_the_arm_rests() -> None:

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 
-from slipguard.bench.grip import lift_run
 from slipguard.bench.grip.disturbances import DISTURBANCES, LOWERING
 from slipguard.bench.grip.lift_course import DROPPED_DEG
 from slipguard.bench.grip.lift_run import constant_n, run_lift
@@ -115,12 +114,3 @@ def test_both_plants_agree_on_what_holds_and_what_slips(event: str) -> None:
         loose = run_lift(replace(one, first_n=0.6 * one.base_needed_n / gain), "no guard", plant)  # type: ignore[arg-type]
         assert firm.slip_deg < 0.5, plant
         assert loose.slip_deg > 3.0, plant
-
-
-def test_slipguard_has_gripped_with_the_same_pads_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it has learned of them counts in the scenario; its times go on."""
-    one = next(one for one in SCENARIOS if one.firm and one.event == "lift")
-    monkeypatch.setattr(lift_run, "EARLIER_GRASPS", 1)
-    outcome = run_lift(one, "slipguard")
-    assert (outcome.dropped, outcome.fault, outcome.up) == (None, None, True)
-    assert outcome.messages[0].startswith("0.000 closing")
