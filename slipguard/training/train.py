@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -104,8 +104,9 @@ def train(
         load_weights(net, start)
     net.to(memory_format=torch.channels_last)  # type: ignore[call-overload, unused-ignore]
     keep = 0.5 ** (1.0 / max(AVERAGE_HALF_LIFE_EPOCHS * steps, 1.0))
-    average = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(keep), use_buffers=True)
-    averaged: SmallNet = average.module
+    moving = get_ema_multi_avg_fn(keep)  # type: ignore[no-untyped-call, unused-ignore]
+    average = AveragedModel(net, multi_avg_fn=moving, use_buffers=True)
+    averaged = cast(SmallNet, average.module)
     optimizer = torch.optim.Adam(net.parameters(), settings.rate)
     total = settings.epochs * steps
     schedule = torch.optim.lr_scheduler.OneCycleLR(
