@@ -30,7 +30,9 @@ GRASP_N = 30.0
 @pytest.fixture(scope="module")
 def config(container: Container) -> Path:
     """The emulated cell's configuration without its own socket and state folder; where it lies on this side."""
-    text = config_text(CELL, gripper="usb", mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0).partition("[api]")[0]
+    text = config_text(
+        CELL, gripper={"port": str(CELL.gripper)}, mode="lift", host="127.0.0.1", height_mm=60.0, speed_mm_s=60.0
+    ).partition("[api]")[0]
     text = text.replace("[guard]\n", f"{PATIENT_GUARD}[guard]\n").replace('.sock"\n', '.sock"\nstall_ms = 1500\n')
     (container.tree / "srv" / "config.toml").write_text(text)
     return container.tree / "etc" / "slipguard" / "config.toml"
