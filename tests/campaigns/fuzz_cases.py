@@ -254,7 +254,7 @@ def model(draw: Random, folder: Path) -> int:
     path.write_bytes(b"".join(parts))
     config = folder / "config.toml"
     shipped = (ROOT / "config.toml").read_text()
-    config.write_text(shipped.replace('# model = "models/tsnn-small.onnx"', f'model = "{path}"'))
+    config.write_text(f'{shipped}\n[perception]\nmodel = "{path}"\n')
     return run(["check", "--config", str(config)])
 
 

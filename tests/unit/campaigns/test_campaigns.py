@@ -115,7 +115,7 @@ def test_damaged_inputs_are_one_line(kind: str, capfd: pytest.CaptureFixture[str
     assert run(["fuzz", kind, "--cases", "40", "--json", "--keep", str(tmp_path)]) == 0, list(tmp_path.iterdir())
     found = json.loads(capfd.readouterr().out)
     assert found[f"{kind}: cases"] == 40
-    assert found[kind]["outcomes"]
+    assert len(found[kind]["outcomes"]) > 1, "some are refused, and some are not"
 
 
 def test_a_case_depends_on_its_number_and_the_seed_alone() -> None:
