@@ -33,11 +33,12 @@ WIRE: dict[str, dict[str, object]] = {
 class GripperRig:
     """A gripper, the object between its fingers, and its faults. Built with open fingers, not yet connected.
 
-    open_mm: the width of the open fingers.
+    open_mm: the width of the open fingers. status_age_s: a status may be this old, because a transport keeps a copy.
     """
 
     gripper: Gripper
     open_mm = 85.0
+    status_age_s = 0.0
 
     @property
     def step_n(self) -> float:
@@ -120,6 +121,8 @@ class WireGripperRig(GripperRig):
         quick = {"link": folder / "ttyGripper", "baud": 0, "response_ms": 0.0, "quick": 5.0, "activated": True}
         self.emulator = RobotiqEmulator(RobotiqEmulator.Settings.model_validate({**quick, **options}))
         self.open_mm = MODELS[self.emulator.settings.model].stroke_mm
+        if self.emulator.settings.wiring == "urcap":
+            self.status_age_s = 2e-3 * self.emulator.settings.refresh_ms  # one refresh, and its jitter
 
     async def start(self) -> None:
         await self.emulator.start()
