@@ -14,7 +14,7 @@ from slipguard.devices import GripperState
 from slipguard_emulators.robotiq.emulator import FAULTS, URCAP_FAULTS
 from slipguard_emulators.robotiq.jaws import JawsState
 
-HANG_S = {"usb": 0.75, "forwarder": 1.0, "urcap": 1.0}
+HANG_S = {"usb": 0.5, "forwarder": 1.0, "urcap": 1.0}
 """Of the driver's own time: what the machine kept the whole process from running is taken off, and printed."""
 
 
